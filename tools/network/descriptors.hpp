@@ -7,7 +7,6 @@
 
 namespace relidar {
 
-/// Raises the limit of open file descriptors to the maximum that the system allows.
 inline void raise_open_file_limit_to_maximum() {
     rlimit limit{};
     if (::getrlimit(RLIMIT_NOFILE, &limit) != 0) return;

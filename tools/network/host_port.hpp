@@ -19,10 +19,8 @@ struct HostPort {
     int port = 0;
 };
 
-/// Parses an address of the form HOST:PORT.
-/// @param option_name name of the option, for error messages
-/// @param min_port smallest valid port: 0 if port 0 may select a free port, otherwise 1
-/// @throws UsageError if the text is not HOST:PORT, or if the port is not valid
+/// @param min_port 0 if port 0 may select a free port, otherwise 1
+/// @throws UsageError if the text is not HOST:PORT with a valid port
 inline HostPort parse_host_port(const std::string& text, const std::string& option_name, int min_port) {
     const auto fail = [&] {
         throw UsageError(fmt::format("{}: found '{}', expected HOST:PORT with a port from {} to {}",

@@ -9,8 +9,7 @@
 
 namespace relidar {
 
-/// Returns true if the host is a loopback address. Returns false for names other than
-/// "localhost", because they may resolve to another machine.
+/// False for names other than "localhost", because they may resolve to another machine.
 /// @param host IPv4 or IPv6 address, with or without brackets, or a name
 inline bool is_loopback_host(std::string host) {
     if (host == "localhost") return true;

@@ -26,7 +26,7 @@
 namespace relidar::serve {
 namespace {
 
-// Pause before the next attempt if the system has no free file descriptor.
+// If the system has no free file descriptor.
 constexpr std::chrono::milliseconds kPause{50};
 // Maximum number of open file descriptors of the process. Connections count too.
 constexpr int kMostDescriptors = 16384;
@@ -71,7 +71,6 @@ void set_integer_socket_option(int socket, int level, int option_name, int optio
     (void)::setsockopt(socket, level, option_name, &option_value, sizeof(option_value));
 }
 
-/// Opens a socket that listens at an address.
 /// @return the socket, or -1 if an error occurs; errno then holds the reason
 int open_listening_socket(const addrinfo& address) {
     const int listener = ::socket(address.ai_family, SOCK_STREAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0);
@@ -136,7 +135,6 @@ void Acceptor::stop_accepting_and_close_sockets() {
     const char any = 0;
     while (::write(wake_[1], &any, 1) < 0 && errno == EINTR) {}
     thread_.join();
-    // Closes the listening sockets, so that the system refuses new connections.
     for (const int listener : listeners_) ::close(listener);
     listeners_.clear();
 }
@@ -157,7 +155,6 @@ void Acceptor::accept_connection(int listening_socket) {
     const bool is_full =
         connection < 0 && (errno == EMFILE || errno == ENFILE || errno == ENOBUFS || errno == ENOMEM);
     if (is_full) std::this_thread::sleep_for(kPause);
-    // Does nothing if the client has already disconnected.
     if (connection < 0) return;
     rlimit limit{};
     const bool has_usable_limit =

@@ -12,24 +12,21 @@ namespace relidar::serve {
 
 class Acceptor {
 public:
-    /// Callback that receives a new connection and must close its file descriptor. It
-    /// runs on the thread of the acceptor.
+    /// Must close the file descriptor. Runs on the thread of the acceptor.
     using ConnectionCallback = std::function<void(int listener, int connection)>;
 
-    /// Opens listening sockets at all network addresses of a host name.
+    /// Opens sockets at all network addresses of the host.
     /// @param address HOST:PORT; port 0 selects a free port
-    /// @throws UsageError if the text is not HOST:PORT, or if the address is not
-    /// available
+    /// @throws UsageError if the address is invalid or not available
     explicit Acceptor(const std::string& address);
     ~Acceptor();
     Acceptor(const Acceptor&) = delete;
     Acceptor& operator=(const Acceptor&) = delete;
 
     int port() const { return port_; }
-    /// Starts to accept connections. If too few file descriptors are free, closes new
-    /// connections immediately.
+    /// If too few file descriptors are free, closes new connections immediately.
     void start_accepting(ConnectionCallback handle_connection);
-    /// Stops accepting connections. Waits until a running callback has returned.
+    /// Waits until a running callback has returned.
     void stop_accepting_and_close_sockets();
 
 private:

@@ -10,28 +10,19 @@
 
 namespace relidar::serve {
 
-/// Writes a scan into a Protobuf message.
-/// @param config_with_range_limits settings of the run, which define the range limits of
-/// points
 void write_scan_into_message(const RenderedScan& scan, const RenderRequest& request,
                              const Config& config_with_range_limits, v1::LidarScan& message);
-/// Writes a scan that has points but no range image into a Protobuf message.
 void write_scan_into_message(const RenderedPoints& scan, const RenderRequest& request,
                              v1::LidarScan& message);
 
-/// Writes the boxes of the actors in a scan into a Protobuf message.
-/// @param run_with_actors run that has the tracks of the actors; its surfels are not
-/// needed
+/// @param run_with_actors may have no surfels
 void write_actor_boxes_into_message(const RenderedScan& scan, const RenderRequest& request,
                                     const TrainedRun& run_with_actors, v1::LidarScan& message);
 
-/// Writes the description of a scene into a message.
-/// @param run its surfels are not needed
 void write_scene_description(const std::string& scene_name, const TrainedRun& run, v1::Scene& message);
 
-/// Writes the recorded poses of a LiDAR and of actors, in the world frame of the dataset.
-/// @param actor_names_or_all names of actors; if the list is empty, all actors are
-/// written
+/// In the world frame of the dataset.
+/// @param actor_names_or_all if the list is empty, all actors are written
 /// @throws RejectedRequest if an actor is unknown
 void write_recorded_tracks(const TrainedRun& run, int lidar_index,
                            const google::protobuf::RepeatedPtrField<std::string>& actor_names_or_all,

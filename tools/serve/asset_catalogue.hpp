@@ -9,13 +9,10 @@
 
 namespace relidar::serve {
 
-/// List of assets, searchable by name. The list never changes after construction, so
-/// several threads may read it.
+/// Never changes after construction, so several threads may read it.
 class AssetCatalogue {
 public:
-    /// Reads the description of each asset. The surfels are not read until a client
-    /// inserts the asset.
-    /// @param folders folders written by `relidar assets`
+    /// Does not read the surfels.
     /// @throws DataError if a folder cannot be read
     /// @throws UsageError if two assets have the same name
     explicit AssetCatalogue(const std::vector<std::string>& folders);
@@ -25,7 +22,6 @@ public:
         AssetDescription facts;
     };
     const std::vector<CatalogueEntry>& get_entries() const { return entries_; }
-    /// Returns the asset with this name, or null if the name is unknown.
     const CatalogueEntry* find_asset(const std::string& asset_name) const;
 
 private:

@@ -12,11 +12,9 @@
 
 namespace relidar::serve {
 
-/// Opens a new gRPC channel without TLS. The size of messages is not limited, because
-/// scans can be large.
+/// Without TLS and without a limit of message sizes, because scans can be large.
 std::shared_ptr<grpc::Channel> open_insecure_channel(const std::string& address);
 
-/// Client of the render service. Each call waits for its response.
 /// @throws DataError with the gRPC code and message if a call fails
 class ScanClient {
 public:

@@ -17,17 +17,14 @@ namespace relidar::serve {
 /// not zero, because clients may send float values or rounded text.
 inline constexpr double kUnitSlack = 1e-3;
 
-/// Reads a pose and checks its values.
 /// @param field_name name of the field in the request, for error messages
 /// @throws RejectedRequest if a value is not finite or too large, or if the rotation is
 /// not a unit quaternion
 Pose read_pose(const v1::Pose& message, const std::string& field_name);
-/// Reads a track of poses and checks it.
-/// @throws RejectedRequest if a pose is invalid, if the number of poses is 0 or too
-/// large, or if the times do not increase
+/// @throws RejectedRequest also if the number of poses is wrong or the times do not
+/// increase
 PoseTrack read_track(const google::protobuf::RepeatedPtrField<v1::TimedPose>& messages,
                      const std::string& field_name);
-/// Checks a time and returns it.
 /// @throws RejectedRequest if the time is not finite or exceeds 1e10 s
 double require_time_within_limit(double time_s, const std::string& field_name);
 

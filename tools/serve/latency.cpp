@@ -26,9 +26,7 @@ struct LatencySample {
     std::size_t rays, points;
 };
 
-/// Returns a percentile of the values, for example the median if `percentile_as_fraction`
-/// is 0.5. The result is the smallest value for which at least this share of the values
-/// is less or equal.
+/// Smallest value for which at least this share of the values is less or equal.
 double compute_percentile(std::vector<double> values, double percentile_as_fraction) {
     std::sort(values.begin(), values.end());
     const auto rank = std::size_t(std::ceil(percentile_as_fraction * double(values.size())));
@@ -42,8 +40,7 @@ Percentiles compute_percentiles(const std::vector<LatencySample>& samples,
     return {compute_percentile(values, 0.5), compute_percentile(values, 0.99)};
 }
 
-/// Returns a request for a sweep between two successive poses of the log. After the last
-/// pose, the requests start again at the first pose.
+/// A sweep between two successive poses of the log, starting again after the last pose.
 v1::RenderLidarRequest make_sweep_request(const LatencyOptions& options, const std::string& scene_name,
                                           const v1::GetTracksResponse& tracks, int number_of_request) {
     v1::RenderLidarRequest request;

@@ -11,18 +11,15 @@ namespace relidar::serve {
 
 struct LatencyOptions {
     std::string address;  ///< HOST:PORT of a render service. The connection does not use TLS.
-    /// Name of the scene. If the name is empty, the first scene of the service is used.
+    /// Empty: the first scene of the service.
     std::string scene;
-    /// Name of the sensor to simulate. If the name is empty, the sensor of the log is
-    /// used.
+    /// Empty: the sensor of the log.
     std::string sensor;
-    /// Number of simultaneous clients. Each client has its own connection and waits for
-    /// one call at a time.
+    /// Each client has its own connection and waits for one call at a time.
     int clients = 1;
     int calls = 100;  ///< Total number of calls of all clients.
 };
 
-/// Median and 99th percentile in milliseconds.
 struct Percentiles {
     double p50 = 0.0, p99 = 0.0;
 };
@@ -37,7 +34,6 @@ struct LatencyResult {
     double points = 0.0;   ///< Mean number of points per scan.
 };
 
-/// Measures the latency of a render service.
 /// @throws DataError if the service does not respond or rejects a call
 LatencyResult measure_latency(const LatencyOptions& options);
 

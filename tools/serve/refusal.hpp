@@ -11,7 +11,7 @@
 
 namespace relidar::serve {
 
-/// Exception that rejects a request. The client receives its gRPC code and message.
+/// The client receives the gRPC code and the message.
 class RejectedRequest : public std::runtime_error {
 public:
     RejectedRequest(grpc::StatusCode code, const std::string& message)
@@ -22,23 +22,19 @@ private:
     grpc::StatusCode code_;
 };
 
-/// Rejects a request because one of its fields has an invalid value.
 /// @throws RejectedRequest always
 [[noreturn]] void throw_invalid_field(const std::string& field_name, const std::string& found_value_text,
                                       const std::string& expected_value_text);
 
-/// Rejects a request because it contains an unknown name.
-/// @param valid_names valid names; the error message may suggest a similar one
+/// Suggests a similar valid name.
 /// @throws RejectedRequest always
 [[noreturn]] void throw_unknown_name(const std::string& field_name, const std::string& name,
                                      const std::vector<std::string>& valid_names);
 
-/// Puts a client's text into quotes for an error message. Removes line breaks and
-/// shortens long texts.
+/// Removes line breaks and shortens long texts.
 std::string shorten_and_quote_client_text(const std::string& client_text);
 
-/// Calls the function that handles a request. If the function throws an exception,
-/// returns an error status with a one-line message.
+/// Converts an exception into an error status with a one-line message.
 grpc::Status call_and_convert_errors_to_status(const std::function<void()>& handle_request);
 
 }  // namespace relidar::serve

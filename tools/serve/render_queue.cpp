@@ -9,9 +9,7 @@
 namespace relidar::serve {
 namespace {
 
-/// While a call waits in the queue, it checks at this interval whether its client has
-/// cancelled it. The render thread checks again before it submits the request to the
-/// device.
+/// Interval at which a waiting call checks whether its client has cancelled it.
 constexpr std::chrono::milliseconds kPoll{10};
 
 class FunctionRequest final : public QueuedRequest {
@@ -99,8 +97,7 @@ void RenderQueue::wait_until_request_ended(QueuedRequest& request, std::unique_l
         lock, [&] { return request.state_ == State::done || request.state_ == State::cancelled; });
 }
 
-/// Removes the next request that is not cancelled from the queue and returns it. Returns
-/// null if there is none.
+/// Skips cancelled requests. Returns null if there is none.
 /// @param scene_index if set, also returns null if the next request is for another scene
 QueuedRequest* RenderQueue::take_next_request(const std::optional<std::size_t>& scene_index) {
     while (!pending_.empty()) {
@@ -115,11 +112,9 @@ QueuedRequest* RenderQueue::take_next_request(const std::optional<std::size_t>& 
     return nullptr;
 }
 
-/// Executes one step of a request. Step 1 submits the request to the device. Step 2 waits
-/// for the device and stores the response. Only requests with a scene need step 2. If a
-/// step fails, the request is done.
-/// @param is_last_of_batch selects step 1, and is passed to submit_to_device(); no value
-/// selects step 2
+/// Step 1 submits the request to the device. Step 2, only for requests with a scene,
+/// waits for the device and stores the response. If a step fails, the request is done.
+/// @param is_last_of_batch selects step 1; no value selects step 2
 void RenderQueue::submit_request_or_store_response(QueuedRequest& request,
                                                    std::optional<bool> is_last_of_batch,
                                                    std::unique_lock<std::mutex>& lock) {
@@ -145,8 +140,8 @@ void RenderQueue::submit_request_or_store_response(QueuedRequest& request,
     request.changed_.notify_one();
 }
 
-/// Submits a batch: a request, and requests for the same scene that follow in the queue.
-/// @return requests of this batch whose results must still be read from the device
+/// Submits a request, and requests for the same scene that follow in the queue.
+/// @return requests whose results must still be read from the device
 RenderQueue::RequestBatch RenderQueue::collect_and_submit_batch(QueuedRequest* first_request,
                                                                 std::unique_lock<std::mutex>& lock) {
     RequestBatch batch;

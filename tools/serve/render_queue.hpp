@@ -18,30 +18,23 @@
 
 namespace relidar::serve {
 
-/// A request to the render thread. Derived classes add the data of the request and its
-/// response.
+/// Derived classes add the data of the request and its response.
 class QueuedRequest {
 public:
     virtual ~QueuedRequest() = default;
-    /// Submits the work of this request to the device.
-    /// @param is_last_of_batch false if another request of the same batch follows, so
-    /// that both can be submitted together
+    /// @param is_last_of_batch false if another request of the batch follows, so that
+    /// both can be submitted together
     virtual void submit_to_device(bool is_last_of_batch) = 0;
-    /// Waits for the device and stores the response. It is called only for requests that
-    /// have a scene.
+    /// Called only for requests that have a scene.
     virtual void wait_for_device_and_store_response() {}
-    /// Returns true if the client no longer waits for the response, because it has
-    /// disconnected or its deadline has passed. One thread calls this function from time
-    /// to time.
+    /// True if the client has disconnected or its deadline has passed. Polled.
     virtual bool is_cancelled() const { return false; }
 
     /// Index of the scene to render. Requests for the same scene may be submitted before
     /// earlier requests have finished. Requests without a value never overlap with other
     /// requests.
     std::optional<std::size_t> scene = {};
-    /// get_queued_time_ms() is the time between run_request_and_wait() and
-    /// submit_to_device(). get_render_time_ms() is the time from submit_to_device() until
-    /// the response is ready.
+    /// Times until submit_to_device(), and from there until the response is ready.
     double get_queued_time_ms() const { return compute_milliseconds_between(queued_at_, submitted_at_); }
     double get_render_time_ms() const { return compute_milliseconds_between(submitted_at_, finished_at_); }
 
@@ -61,30 +54,26 @@ private:
 
 class RenderQueue {
 public:
-    /// Starts the render thread.
-    /// @param n_pending maximum number of waiting requests, not counting the current
-    /// request
+    /// @param n_pending maximum number of waiting requests, not counting the current one
     explicit RenderQueue(std::size_t n_pending);
-    /// Waits until all requests have ended. All QueueSlot objects must be destroyed
-    /// before.
+    /// All QueueSlot objects must be destroyed before.
     ~RenderQueue();
     RenderQueue(const RenderQueue&) = delete;
     RenderQueue& operator=(const RenderQueue&) = delete;
 
     enum class RequestOutcome { done, cancelled };
-    /// A reserved slot in the queue, whose number of slots is limited. Only a caller that
-    /// holds a slot can run requests. The destructor releases the slot.
+    /// Only a caller that holds a slot can run requests. The destructor releases the
+    /// slot.
     class QueueSlot {
     public:
         QueueSlot(QueueSlot&& other) noexcept : queue_(other.queue_) { other.queue_ = nullptr; }
         QueueSlot& operator=(QueueSlot&&) = delete;
         ~QueueSlot();
-        /// Runs a request on the render thread and waits until it ends. Requests are
-        /// submitted in the order of these calls. A request that is cancelled before its
-        /// submission is skipped. A submitted request always runs to its end.
+        /// Requests are submitted in the order of these calls. A request that is
+        /// cancelled before its submission is skipped. A submitted request always runs to
+        /// its end.
         /// @throws all exceptions of the request
         RequestOutcome run_request_and_wait(QueuedRequest& request);
-        /// Runs a function on the render thread.
         void run_on_render_thread(const std::function<void()>& function);
 
     private:
@@ -92,18 +81,15 @@ public:
         explicit QueueSlot(RenderQueue* queue) : queue_(queue) {}
         RenderQueue* queue_;
     };
-    /// Reserves a slot in the queue. Returns no value if the queue is full.
+    /// Returns no value if the queue is full.
     std::optional<QueueSlot> reserve_slot();
     std::size_t get_total_slot_count() const { return slots_; }
-    /// Waits until no slot is reserved. From now on, is_draining() returns true, so that
-    /// callers reject new calls of clients.
+    /// From now on, is_draining() returns true, so that callers reject new calls.
     void wait_for_all_slots(std::chrono::milliseconds max_wait);
     bool is_draining() const { return draining_; }
-    /// Returns the driver's error message if the device was lost. Returns no value as
-    /// long as the device works.
+    /// No value as long as the device works.
     std::optional<std::string> get_device_loss_message();
-    /// Sets the maximum number of requests in a batch. The default is 1, which means that
-    /// each request is submitted alone.
+    /// The default is 1: each request is submitted alone.
     void set_max_requests_per_batch(std::size_t max_requests);
 
 private:
@@ -113,8 +99,7 @@ private:
     std::mutex mutex_;
     std::condition_variable more_;
     std::optional<std::string> device_loss_;
-    /// Requests that are not submitted yet. The thread that waits for the response owns
-    /// the request.
+    /// The thread that waits for the response owns the request.
     std::deque<QueuedRequest*> pending_;
     std::size_t n_reserved_ = 0, batch_size_ = 1;
     bool closed_ = false;

@@ -12,8 +12,7 @@
 namespace relidar::serve {
 namespace {
 
-/// Calls a function with the renderer of the requested scene. If the scene cannot be
-/// loaded, the error message names the folder of its run.
+/// If the scene cannot be loaded, the error message names the folder of its run.
 template <class Function>
 SceneSet::SceneLoadNumber use_renderer_and_get_scene_load_number(SceneSet& scenes,
                                                                  const RenderRequest& request,
@@ -102,8 +101,7 @@ void PointsRequest::wait_for_device_and_store_response() {
 
 void SpawnRequest::submit_to_device(bool) { occupied_slots = scenes_.spawn_actors(spawn_scene_, wishes_); }
 
-/// Removes the spawned actors, because a client that did not receive the response would
-/// never remove them.
+/// A client that did not receive the response would never remove the actors.
 void SpawnRequest::revert_effects_of_cancelled_request() {
     std::vector<std::string> names;
     for (const SpawnedActorRegistry::SpawnSlot& slot : occupied_slots) names.push_back(slot.actor.name);

@@ -15,36 +15,31 @@
 
 namespace relidar::serve {
 
-/// Reserves a slot in the queue of the render thread.
 /// @throws RejectedRequest if the queue is full
 RenderQueue::QueueSlot reserve_slot_or_throw(RenderQueue& queue);
 
-/// Ends a call whose client has disconnected or whose deadline has passed.
+/// The client has disconnected or its deadline has passed.
 /// @throws RejectedRequest always
 [[noreturn]] void throw_deadline_or_cancelled_error(const grpc::ServerContext& context);
 
-/// A request that a gRPC client has sent.
 class ClientRequest : public QueuedRequest {
 public:
     ClientRequest(SceneSet& scenes, const grpc::ServerContext& context)
         : scenes_(scenes), context_(context) {}
     bool is_cancelled() const override;
-    /// Runs the request on the render thread and waits for the response.
     /// @throws RejectedRequest if the client has disconnected, if the deadline has
     /// passed, or if the run cannot be read
     void run_request_or_throw_if_cancelled(RenderQueue::QueueSlot& slot);
 
 protected:
     SceneSet& scenes_;
-    /// Called if the client no longer waits for the response. Reverts the effects of the
-    /// request.
+    /// Called if the client no longer waits for the response.
     virtual void revert_effects_of_cancelled_request() {}
 
 private:
     const grpc::ServerContext& context_;
 };
 
-/// Renders a scan with all its arrays.
 class ScanImageRequest final : public ClientRequest {
 public:
     ScanImageRequest(SceneSet& scenes, const grpc::ServerContext& context, const RenderRequest& request)
@@ -65,10 +60,9 @@ inline constexpr std::size_t kBatchSize = 4;
 static_assert(2 * kBatchSize * kMostAtOnce <= ScanRenderer::kScansInFlight);
 
 /// Renders several scans of one scene and returns only their points. The device can
-/// render them together with the scans of other requests.
+/// render them together with scans of other requests.
 class PointsRequest final : public ClientRequest {
 public:
-    /// @param requests scans to render, at most kMostAtOnce
     PointsRequest(SceneSet& scenes, const grpc::ServerContext& context,
                   std::span<const RenderRequest> requests);
     void submit_to_device(bool is_last) override;
@@ -85,7 +79,6 @@ private:
     std::exception_ptr submit_failure_ = {};
 };
 
-/// Adds ("spawns") actors to a scene.
 class SpawnRequest final : public ClientRequest {
 public:
     SpawnRequest(SceneSet& scenes, const grpc::ServerContext& context, std::size_t spawn_scene,

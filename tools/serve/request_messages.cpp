@@ -33,8 +33,7 @@ bool is_time_far_before_or_after_path(double time_s, const PoseTrack& sensor_pat
                      time_s > sensor_path.time_s.back() + kBeyondPath_s);
 }
 
-/// Reads a time in seconds. Rejects a time that is more than one second outside the
-/// sensor's path.
+/// Rejects a time that is more than kBeyondPath_s outside the sensor's path.
 double require_time_near_path(double time_s, const PoseTrack& sensor_path, const std::string& field_name) {
     require_time_within_limit(time_s, field_name);
     if (is_time_far_before_or_after_path(time_s, sensor_path))
@@ -52,7 +51,6 @@ std::vector<std::string> list_actor_names(const std::vector<VisibleActor>& actor
     return names;
 }
 
-/// Reads the names and poses of the actors in a request.
 /// @throws RejectedRequest if the poses of an actor end long before the scan or begin
 /// long after it
 std::vector<RequestedActor> read_requested_actor_poses(const v1::ActorTracks& message, double scan_time_s) {
@@ -140,8 +138,7 @@ std::pair<std::string, std::shared_ptr<const SimulatedSensor>> RequestReader::ca
     return {handle, sensor};
 }
 
-/// Returns the sensor with this name. The rays of the sensor are computed once and then
-/// cached.
+/// The rays of the sensor are computed once and then cached.
 std::shared_ptr<const SimulatedSensor> RequestReader::find_built_in_sensor(const std::string& sensor_name,
                                                                            std::size_t scene_index,
                                                                            int lidar_index) {
@@ -183,8 +180,7 @@ std::shared_ptr<const SimulatedSensor> RequestReader::find_requested_sensor(cons
     return std::make_shared<const SimulatedSensor>(std::move(placed));
 }
 
-/// Returns all actors of a scene: the actors of its run and the actors that clients have
-/// added.
+/// The actors of the run and the actors that clients have added.
 std::vector<VisibleActor> RequestReader::list_actors_of_scene(std::size_t scene_index) const {
     const TrainedRun& run = outlines_[scene_index];
     const auto find_actor_box = [&](const std::string& track) {
@@ -303,7 +299,6 @@ std::vector<RenderRequest> RequestReader::convert_to_request_per_rig_sensor(
         throw_invalid_field("sensors", fmt::format("a rig with {} sensors", message.sensors_size()),
                             fmt::format("1 to {} sensors", kMostSensors));
     std::vector<RenderRequest> scans;
-    // Names of the sensors, to detect duplicates. A single sensor needs no name.
     std::set<std::string_view> names;
     for (int i = 0; i < message.sensors_size(); ++i) {
         const v1::RigSensor& sensor = message.sensors(i);

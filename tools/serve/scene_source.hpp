@@ -15,23 +15,18 @@ struct TrainedRun;
 
 namespace relidar::serve {
 
-/// A run that the server offers, and its name for clients.
 struct SceneSource {
     std::string name;
     std::filesystem::path folder;
-    /// Channels of the rendered scans. Without a value, the channels in the settings of
-    /// the run are used.
+    /// Without a value: the channels in the settings of the run.
     std::optional<std::string> channels = {};
     Weather weather = {};  ///< Weather that is simulated if the request does not contain a weather.
 
-    /// Loads the run and sets its channels.
-    /// @throws the exceptions of load_run()
-    /// @throws UsageError if a channel is unknown
+    /// @throws UsageError if a channel is unknown, and the exceptions of load_run()
     TrainedRun load_run_and_select_output_channels() const;
 };
 
-/// Parses words of the form "RUN" or "NAME=RUN". Without NAME, the scene gets the name of
-/// the run's folder.
+/// "RUN" or "NAME=RUN". Without NAME: the name of the run's folder.
 /// @throws UsageError if two scenes have the same name
 std::vector<SceneSource> parse_named_run_folders(const std::vector<std::string>& name_and_folder_arguments,
                                                  const std::optional<std::string>& channels = {},

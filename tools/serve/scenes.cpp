@@ -105,7 +105,6 @@ void SceneSet::load_scene_to_device(std::size_t scene_index, const TrainedRun& r
         int(std::min<std::uint64_t>(1 + copies, std::uint64_t(side_by_side))));
 }
 
-/// Loads the run together with the actors that clients have added.
 void SceneSet::load_scene_with_spawned_actors(std::size_t scene_index) {
     const std::vector<SpawnedActorRegistry::SpawnSlot> slots = spawned_.list_all_slots(scene_index);
     TrainedRun run = sources_[scene_index].load_run_and_select_output_channels();
@@ -155,8 +154,7 @@ std::vector<SpawnedActorRegistry::SpawnSlot> SceneSet::spawn_actors(std::size_t 
                     actors.size(), needed_mib, double(memory_bytes_) / kMiB));
 }
 
-/// Unloads other scenes, the least recently used first, until `n_bytes_needed` more bytes
-/// fit into the memory.
+/// Unloads the least recently used scenes first.
 void SceneSet::unload_scenes_until_memory_suffices(std::size_t kept_scene_index,
                                                    std::uint64_t n_bytes_needed) {
     while (device_.allocated_bytes() + n_bytes_needed > memory_bytes_) {
@@ -169,8 +167,7 @@ void SceneSet::unload_scenes_until_memory_suffices(std::size_t kept_scene_index,
     }
 }
 
-/// Calls a function, and adds the device memory that it allocates to the recorded size of
-/// the scene.
+/// Adds the device memory that the function allocates to the size of the scene.
 void SceneSet::call_and_count_allocated_scene_bytes(std::size_t scene_index,
                                                     const std::function<void()>& allocate) {
     const std::uint64_t before = device_.allocated_bytes();

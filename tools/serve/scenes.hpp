@@ -24,20 +24,18 @@ public:
     /// Loads each run once to check it and to measure its size on the device.
     /// @param memory_bytes device memory for all scenes together; if it is exceeded, the
     /// least recently used scene is unloaded
-    /// @param assets assets that clients can add; must outlive this object
-    /// @throws DataError if a run cannot be read, or if a single run needs more memory
+    /// @param assets must outlive this object
+    /// @throws DataError if a run cannot be read, or does not fit alone
     SceneSet(Device& device, std::vector<SceneSource> sources, std::uint64_t memory_bytes,
              const AssetCatalogue& assets);
 
-    /// Returns all runs without their surfels and ray-drop networks, in the order of the
-    /// constructor's argument. The result never changes.
+    /// Without ray-drop networks too. In the order of the constructor's argument.
     const std::vector<TrainedRun>& get_runs_without_surfels() const { return outlines_; }
     const std::vector<SceneSource>& get_scene_sources() const { return sources_; }
     const AssetCatalogue& get_asset_catalogue() const { return assets_; }
     SpawnedActorRegistry& get_spawned_actors() { return spawned_; }
 
-    /// Adds actors to a scene. If the scene has too few free slots, it is loaded again
-    /// with more slots.
+    /// If the scene has too few free slots, it is loaded again with more slots.
     /// @return the slots of the actors, in the order of the requests
     /// @throws RejectedRequest if a name is in use, if an asset does not fit, or if the
     /// device memory is too small; the scene is then unchanged
@@ -47,12 +45,9 @@ public:
     /// Number that changes each time a scene is loaded. Loading discards pending scans,
     /// so a changed number shows that a scan is lost.
     enum class SceneLoadNumber : std::uint64_t {};
-    /// Calls `use_renderer` with the renderer of a scene. If the scene is not on the
-    /// device, loads it first.
-    /// @param scene_index index into get_runs_without_surfels()
-    /// @param weather_or_default weather to simulate; without a value, the default
-    /// weather of the scene
-    /// @return number of this load; changes if the scene is loaded again
+    /// Loads the scene first if it is not on the device.
+    /// @param weather_or_default without a value, the default weather of the scene
+    /// @return number of this load
     SceneLoadNumber load_scene_and_call_with_renderer(std::size_t scene_index,
                                                       const std::optional<Weather>& weather_or_default,
                                                       const std::function<void(ScanRenderer&)>& use_renderer);
@@ -64,12 +59,11 @@ public:
     void call_if_scene_was_not_reloaded(std::size_t scene_index, SceneLoadNumber expected_load_number,
                                         const std::function<void(ScanRenderer&)>& use_renderer);
 
-    /// Returns true if the surfels of the scene are on the device.
     bool is_scene_on_gpu(std::size_t scene_index) const { return loaded_[scene_index].renderer != nullptr; }
 
 private:
     struct SceneInMemory {
-        /// Renderer of the scene. The pointer is null if the scene is not on the device.
+        /// Null if the scene is not on the device.
         std::unique_ptr<ScanRenderer> renderer;
         /// Device memory of the renderer in bytes. Keeps the last value after the scene
         /// is unloaded.

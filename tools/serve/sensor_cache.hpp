@@ -16,20 +16,18 @@ struct SimulatedSensor;
 
 namespace relidar::serve {
 
-/// Cache of sensors with their rays. Several threads may use it at the same time.
+/// Thread-safe.
 class SensorCache {
 public:
     static constexpr std::size_t kMostSensors = 64;
     /// Maximum number of rays of all cached sensors together (about 120 MB).
     static constexpr std::size_t kMostRays = std::size_t(1) << 22;
 
-    /// Adds a sensor that a client has uploaded.
-    /// @return a new handle for this sensor
+    /// @return a new handle for a sensor that a client has uploaded
     std::string add_sensor_and_make_handle(SimulatedSensor sensor);
     std::shared_ptr<const SimulatedSensor> add_sensor_under_key(const std::string& name_or_handle,
                                                                 SimulatedSensor sensor);
-    /// Returns the sensor for a name or handle. Returns null if the key is unknown or if
-    /// the cache has removed the sensor.
+    /// Returns null if the key is unknown or if the cache has removed the sensor.
     std::shared_ptr<const SimulatedSensor> find_cached_sensor(const std::string& name_or_handle);
 
 private:

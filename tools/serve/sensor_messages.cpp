@@ -43,8 +43,7 @@ double require_number_in_range(const std::string& field_name, double value, doub
     return value;
 }
 
-/// Reads an array from the bytes of a message. The array must have `n_expected_values`
-/// values or be empty.
+/// The array must have `n_expected_values` values or be empty.
 template <class T>
 std::vector<T> read_array_from_bytes(const std::string& bytes, std::size_t n_expected_values,
                                      const std::string& field_name) {
@@ -157,7 +156,6 @@ WindowScanSensor read_scanning_window(const v1::ScanningWindow& message, const s
         .right_rad =
             require_number_in_range(field_name + ".right_rad", message.right_rad(), -2 * kPi, 2 * kPi),
         .top_rad = top_rad,
-        // Row 0 is the highest.
         .bottom_rad =
             require_number_in_range(field_name + ".bottom_rad", message.bottom_rad(), -kPi / 2, top_rad),
         .period_s =

@@ -15,27 +15,21 @@ namespace relidar::serve {
 /// seconds even for a scan of this size.
 inline constexpr std::size_t kMostRaysOfScan = std::size_t(1) << 20;
 
-/// Reads the description of a sensor.
-/// @param field_name name of the field in the request, for error messages
 /// @throws RejectedRequest that names the first invalid field
 SimulatedSensor read_sensor(const v1::SensorSpec& message, const std::string& field_name);
 
-/// Returns the built-in sensor with this name. The names "native" and "" mean the sensor
-/// of the log. File names are rejected, because clients must not read files of the
-/// server.
-/// @param run run without surfels
+/// "native" and "" mean the sensor of the log. File names are rejected, because clients
+/// must not read files of the server.
 /// @throws RejectedRequest if the name is unknown or the sensor has too many rays
 SimulatedSensor find_built_in_or_log_sensor(const std::string& sensor_name_or_native, const TrainedRun& run,
                                             int lidar_index);
 
-/// Firing times of the first and the last ray, in seconds relative to the time of the
-/// scan.
+/// In seconds relative to the time of the scan.
 struct FiringTimeSpan {
     double first_s = 0.0, last_s = 0.0;
 };
 FiringTimeSpan compute_firing_span(const SimulatedSensor& sensor);
 
-/// Returns the number of rays of one scan.
 std::size_t count_rays_of_sensor(const SimulatedSensor& sensor);
 
 }  // namespace relidar::serve

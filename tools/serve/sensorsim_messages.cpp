@@ -19,7 +19,6 @@ namespace {
 constexpr double kMicrosecond = 1e-6;
 constexpr std::uint64_t kLongestFrame_us = 60'000'000;
 
-/// Maps a LiDAR type of sensorsim.proto to the name of a built-in sensor.
 struct LidarTypeSensor {
     sensorsim::LidarType type;
     const char* name;

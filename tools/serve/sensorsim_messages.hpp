@@ -20,23 +20,21 @@ namespace relidar::serve {
 
 namespace sensorsim = nre::grpc::protos::sensorsim;
 
-/// Reads requests of sensorsim.proto. Several threads may use it at the same time.
+/// Thread-safe.
 class SensorsimReader {
 public:
-    /// @param outlines one trained run without surfels for each scene of `reader`;
-    /// `outlines` and `reader` must outlive this object
-    /// @param order says whether a pose applies its rotation or its translation first
+    /// @param outlines [scenes] runs without surfels; `outlines` and `reader` must
+    /// outlive this object
     SensorsimReader(const std::vector<TrainedRun>& outlines, const RequestReader& reader,
                     PoseTransformOrder order)
         : outlines_(outlines), reader_(reader), order_(order) {}
 
-    /// Returns the index of the scene with this name.
     /// @throws RejectedRequest if the scene is unknown
     std::size_t find_scene_index_or_throw(const std::string& scene_id) const {
         return reader_.find_scene_index_or_throw(scene_id, "scene_id");
     }
-    /// Reads a request for a scan. The sensor fires its first ray at the start of the
-    /// requested time interval and its last ray at the end.
+    /// The first ray is fired at the start of the requested interval, the last ray at its
+    /// end.
     /// @throws RejectedRequest that names the first invalid field
     RenderRequest convert_to_checked_render_request(const sensorsim::LidarRenderRequest& message);
 
@@ -57,17 +55,13 @@ private:
                          const std::string& field_name) const;
 };
 
-/// Writes the points of a rendered scan into the response.
 void write_points(const LidarPoints& points, sensorsim::LidarRenderReturn& message);
 
-/// Writes the actors of the run, with their classes, sizes and poses, into the response.
-/// @throws RejectedRequest if a track starts before time 0
+/// @throws RejectedRequest if a track starts before time 0, which messages cannot store
 void write_actor_tracks(const TrainedRun& run, PoseTransformOrder pose_order,
                         sensorsim::DynamicObjectTracks& message);
 
-/// Writes the trajectories of the log's vehicle and LiDARs into the response.
-/// @throws RejectedRequest if the log starts before time 0, because the messages cannot
-/// store negative times
+/// @throws RejectedRequest if the log starts before time 0
 void write_recorded_trajectories(const TrainedRun& run, PoseTransformOrder pose_order,
                                  sensorsim::AvailableTrajectories& message);
 

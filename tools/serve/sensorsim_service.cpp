@@ -80,8 +80,7 @@ private:
     // does not move its elements.
     std::deque<std::string> methods_;
 
-    /// Registers an RPC method with gRPC. `handle_call` computes the answer, and throws
-    /// RejectedRequest to reject a call.
+    /// `handle_call` computes the answer, and throws RejectedRequest to reject a call.
     template <class RequestMessage, class Answer, class Function>
     void register_method(const std::string& method_name, Function handle_call) {
         using grpc::internal::RpcMethodHandler, grpc::internal::RpcServiceMethod;

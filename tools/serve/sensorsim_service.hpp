@@ -21,19 +21,17 @@ class SceneSet;
 class SensorsimReader;
 struct RenderRequest;
 
-/// Implements the gRPC service SensorsimService. The service has one name per version of
-/// its protobuf package, so that old and new clients can call it.
+/// The service has one name per version of its protobuf package, for old and new clients.
 class SensorsimService {
 public:
-    /// Creates the service. The queue and the scenes must outlive this object.
+    /// The queue and the scenes must outlive this object.
     /// @param scenes used only on the render thread
     SensorsimService(RenderQueue& queue, SceneSet& scenes, PoseTransformOrder order);
     ~SensorsimService();
 
-    /// Adds the service to a server under all names.
+    /// Under all names.
     void register_services(grpc::ServerBuilder& builder);
-    /// Returns the full names of the service, such as
-    /// "nre.grpc.protos.sensorsim.SensorsimService".
+    /// For example "nre.grpc.protos.sensorsim.SensorsimService".
     static std::vector<std::string> list_full_service_names();
 
 private:

@@ -32,15 +32,13 @@ constexpr int kLargestRequest = 40 << 20;
 // Number of threads for calls that do not render. In addition, the server has one thread
 // for each call that fits into the render queue.
 constexpr std::size_t kOtherThreads = 32;
-// Interval between keepalive pings. A client that does not answer a ping has vanished.
+// A client that does not answer a ping has vanished.
 constexpr int kKeepalive_ms = 20'000;
-// Maximum time until a new connection starts to use gRPC. After this time, the connection
-// is closed.
+// Until a new connection starts to use gRPC.
 constexpr int kHandshake_ms = 10'000;
 // Time in which gRPC writes a response after its call has returned.
 constexpr std::chrono::milliseconds kLastWrites{200};
-// Maximum time that a connection stays open without calls. After this time, the client
-// must connect again.
+// Without calls. After this time, the client must connect again.
 constexpr int kLongestIdle_ms = 600'000;
 
 std::string read_pem_file(const std::string& file_path) {
@@ -58,7 +56,6 @@ std::string read_pem_file(const std::string& file_path) {
 void disable_grpc_log() {
     if (std::getenv("GRPC_VERBOSITY")) return;
     gpr_set_log_function([](gpr_log_func_args*) {});
-// Turns the log of Protobuf off. Version 22 and later print nothing by default.
 #if GOOGLE_PROTOBUF_VERSION < 4022000
     google::protobuf::SetLogHandler(nullptr);
 #endif
@@ -75,7 +72,6 @@ struct ScanServer::Impl {
     std::optional<RenderService> service;
     std::optional<SensorsimService> sensorsim;
     std::optional<Acceptor> acceptor;
-    /// gRPC object that receives the connections of clients.
     std::unique_ptr<grpc::experimental::ExternalConnectionAcceptor> connections;
     std::unique_ptr<grpc::Server> server;
 

@@ -30,39 +30,33 @@ enum class PoseTransformOrder {
     translation_first,  ///< R (p + t): the translation is applied first.
 };
 
-/// Called with each scan that RenderLidar renders, before the response is sent. Several
-/// threads may call it simultaneously. If it throws a UsageError, the request fails with
-/// INVALID_ARGUMENT.
-/// @param sensor_name  name of a built-in sensor; empty for the log's sensor and for a
-/// sensor that the client has described
+/// Called with each scan of RenderLidar before the response is sent, by several threads.
+/// If it throws a UsageError, the request fails with INVALID_ARGUMENT.
+/// @param sensor_name name of a built-in sensor, otherwise empty
 using RenderedScanCallback = std::function<void(const TrainedRun& run, const SimulatedSensor& sensor,
                                                 const std::string& sensor_name, const RenderedScan& scan)>;
 
 struct ServerOptions {
-    /// Trained runs that the server offers, each written as "RUN" or "NAME=RUN".
+    /// "RUN" or "NAME=RUN".
     std::vector<std::string> runs;
     std::vector<std::string> assets;  ///< Asset folders, as written by `relidar assets`.
     /// channels of scans; they replace the setting render.channels of each run
     std::optional<std::string> channels;
     Weather weather = {};  ///< Weather that is simulated if the request does not contain a weather.
-    /// Enables SensorsimService, and says whether its poses apply rotation or translation
-    /// first. Without a value, this service is disabled.
+    /// Without a value, SensorsimService is disabled.
     std::optional<PoseTransformOrder> sensorsim;
     std::string listen = "127.0.0.1:50051";  ///< Address to listen on. Port 0 selects a free port.
-    /// Device memory for all scenes together in MiB. The value 0 means half of the device
-    /// memory.
+    /// For all scenes together. 0 means half of the device memory.
     std::uint64_t memory_mib = 0;
     RenderedScanCallback on_scan = {};  ///< May be empty.
     std::size_t waiting = 64;  ///< Maximum number of waiting requests, not counting the current request.
-    /// PEM files with the TLS certificate and key. If both names are empty, the server
-    /// does not use TLS.
+    /// PEM files. If both names are empty, the server does not use TLS.
     std::string tls_cert, tls_key;
     DeviceOptions device;
 };
 
 class ScanServer {
 public:
-    /// Loads all runs, then starts to listen for connections.
     /// @throws UsageError if the address is not available
     /// @throws DataError if a run or key cannot be read
     /// @throws DeviceError if the device fails
@@ -76,12 +70,10 @@ public:
     int port() const;
     const std::string& get_device_name() const;
     std::vector<std::string> list_scene_names() const;
-    /// Returns the driver's error message if the device was lost. Returns no value as
-    /// long as the device works. After the loss, the health service reports NOT_SERVING,
-    /// and render calls fail with UNAVAILABLE.
+    /// No value as long as the device works. After the loss, the health service reports
+    /// NOT_SERVING, and render calls fail with UNAVAILABLE.
     std::optional<std::string> get_device_loss_message();
-    /// Rejects new calls and waits for pending calls.
-    /// @param max_wait longest time to wait; after it, the remaining calls are cancelled
+    /// @param max_wait after it, the remaining calls are cancelled
     void stop_and_wait(std::chrono::milliseconds max_wait);
 
 private:

@@ -134,8 +134,7 @@ grpc::Status RenderService::RenderRig(grpc::ServerContext* context, const v1::Re
                 grpc::StatusCode::FAILED_PRECONDITION,
                 "cannot answer RenderRig, because the server sends packets (--udp); expected RenderLidar "
                 "calls, because a receiver expects the packets of a single sensor");
-        // Reserves one slot for all scans of the rig, so that the call is not rejected
-        // after some scans.
+        // One slot, so that the call is not rejected after some scans.
         RenderQueue::QueueSlot slot = reserve_slot_or_throw(queue_);
         const std::vector<RenderRequest> render_requests =
             reader_.convert_to_request_per_rig_sensor(*request);

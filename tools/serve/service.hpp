@@ -18,7 +18,7 @@ namespace relidar::serve {
 
 class RenderService final : public v1::RenderService::Service {
 public:
-    /// Creates the service. The queue and the scenes must outlive this object.
+    /// The queue and the scenes must outlive this object.
     /// @param scenes used only on the render thread
     RenderService(RenderQueue& queue, SceneSet& scenes, RenderedScanCallback on_scan)
         : queue_(queue), scenes_(scenes), reader_(scenes), on_scan_(std::move(on_scan)) {}

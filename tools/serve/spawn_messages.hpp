@@ -13,13 +13,9 @@ namespace relidar::serve {
 
 void write_asset_into_message(const AssetDescription& asset_description, v1::Asset& message);
 
-/// Writes the description of an added actor into a Protobuf message.
-/// @param run run of the scene, without surfels
 void write_spawned_actor(const SpawnedActorRegistry::SpawnSlot& slot, const TrainedRun& run,
                          v1::SpawnedActor& message);
 
-/// Writes the names of the actors that have too few surfels for their distance from the
-/// sensor.
 void write_actors_with_too_few_surfels(const RenderRequest& request, v1::LidarScan& message);
 
 }  // namespace relidar::serve

@@ -25,8 +25,7 @@ auto find_slot_of_actor(SpawnedActorSlots& slots, const std::string& actor_name)
     return std::ranges::find(slots, actor_name, &ActorToSpawn::name);
 }
 
-/// Returns the index of a free slot for the same model. If there is none, adds slots and
-/// returns the first new one.
+/// If there is no free slot of the model, adds slots and returns the first new one.
 std::size_t find_or_add_free_slot(SpawnedActorSlots& slots, const ActorToSpawn& actor) {
     const auto is_free = [&](const ActorToSpawn& p) { return p.name.empty() && p.source == actor.source; };
     const auto free = std::ranges::find_if(slots, is_free);

@@ -17,7 +17,7 @@ namespace relidar::serve {
 
 class AssetCatalogue;
 
-/// Origin of the surfels of an added actor: an actor of the scene, or an asset.
+/// An actor of the scene, or an asset.
 struct SpawnedModelSource {
     bool is_asset = false;
     std::string name;
@@ -25,7 +25,6 @@ struct SpawnedModelSource {
     bool operator==(const SpawnedModelSource&) const = default;
 };
 
-/// Describes an actor that a client wants to add to a scene.
 struct ActorToSpawn {
     std::string name;  ///< Name chosen by the client.
     SpawnedModelSource source;
@@ -43,27 +42,24 @@ public:
 
     explicit SpawnedActorRegistry(std::size_t n_scenes) : scenes_(n_scenes) {}
 
-    /// A slot that is free or contains one actor. `position` is its index in the scene.
+    /// `position` is its index in the scene.
     struct SpawnSlot {
         std::size_t position = 0;
         ActorToSpawn actor;  ///< Actor in this slot. The name is empty if the slot is free.
     };
     std::vector<SpawnSlot> list_all_slots(std::size_t scene_index) const;
-    /// Returns the slots that contain an actor.
     std::vector<SpawnSlot> list_occupied_slots(std::size_t scene_index) const;
 
-    /// Assigns a slot (additional instance of a model) to each actor. If all slots of a
-    /// model are occupied, adds 1 to 8 slots: as many as the model already has.
+    /// If all slots of a model are occupied, adds 1 to 8 slots: as many as it already
+    /// has.
     /// @return the slots in the order of `actors`
-    /// @throws RejectedRequest if a name is in use or the maximum number of slots is
-    /// reached; then nothing changes
+    /// @throws RejectedRequest if a name is in use or there are too many slots; nothing
+    /// changes
     std::vector<SpawnSlot> assign_actors_to_slots(std::size_t scene_index,
                                                   const std::vector<ActorToSpawn>& actors);
-    /// Removes the named actors and makes their slots free again.
-    /// @throws RejectedRequest if a name is unknown; then nothing changes
+    /// @throws RejectedRequest if a name is unknown; nothing changes
     void remove_actors_and_free_slots(std::size_t scene_index, const std::vector<std::string>& actor_names);
-    /// Undoes assign_actors_to_slots(): frees the slots of these actors, and removes all
-    /// slots from index `n_slots_before`.
+    /// Frees the slots, and removes all slots from index `n_slots_before`.
     void undo_actor_slot_assignment(std::size_t scene_index, const std::vector<SpawnSlot>& slots_to_free,
                                     std::size_t n_slots_before);
     std::size_t count_spawn_slots_of_scene(std::size_t scene_index) const;
@@ -74,12 +70,10 @@ private:
     std::vector<std::vector<ActorToSpawn>> scenes_;
 };
 
-/// Returns a track name for the actor in a slot. The name differs from all track names of
-/// the run.
+/// Differs from all track names of the run.
 std::string make_unique_track_name_of_slot(std::size_t slot_index);
 
-/// Adds an actor instance for each slot to the run. Adds the model of each asset only
-/// once. Must be called before the run is rendered.
+/// Adds the model of each asset only once. Must be called before the run is rendered.
 /// @throws DataError if an asset cannot be read, or if its type of Gaussians differs from
 /// the run
 void add_spawned_actors_to_run(TrainedRun& run, const std::vector<SpawnedActorRegistry::SpawnSlot>& slots,

@@ -21,8 +21,7 @@ bool is_valid_port_number_text(std::string_view text) {
     });
 }
 
-/// Returns the host name in a text of the form "host", "host:port" or "[address]:port".
-/// Returns an empty text for any other form.
+/// From "host", "host:port" or "[address]:port". Otherwise empty.
 std::string_view extract_host_name(std::string_view host_and_port) {
     std::size_t end = host_and_port.find(':');
     if (host_and_port.starts_with('[')) {
@@ -70,8 +69,6 @@ bool is_origin_allowed_for_foxglove(std::string_view origin_header) {
 
 bool are_secrets_equal(std::string_view given_secret, std::string_view true_secret) {
     unsigned differs = given_secret.size() == true_secret.size() ? 0u : 1u;
-    // Always compares all characters of the secret `true_secret`, so that the duration
-    // does not show how many characters of `given_secret` are right.
     for (std::size_t i = 0; i < true_secret.size(); ++i) {
         const char shown = i < given_secret.size() ? given_secret[i] : '\0';
         differs |= static_cast<unsigned char>(shown) ^ static_cast<unsigned char>(true_secret[i]);

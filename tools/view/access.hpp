@@ -17,29 +17,23 @@ struct Credentials {
     std::string_view query;   ///< Part of the URL after '?'.
 };
 
-/// Returns true if a Host header names this machine: an IP address, "localhost", or
-/// `machine_name`. Other names are rejected, because an attacker's DNS server could
-/// resolve them to this machine. The port is not checked, because a forwarded port has
-/// another number.
+/// An IP address, "localhost", or `machine_name`. Other names are rejected, because an
+/// attacker's DNS server could resolve them to this machine. The port is not checked,
+/// because a forwarded port has another number.
 bool is_host_header_of_this_machine(std::string_view host_header, std::string_view machine_name);
-/// Returns true if the Origin header names this server or is missing. A browser always
-/// sends this header when it opens a WebSocket. Other programs do not send it.
+/// A browser always sends the Origin header when it opens a WebSocket. Other programs do
+/// not.
 /// @param host_header value of the Host header in the same request
 bool is_origin_missing_or_same_host(std::string_view origin_header, std::string_view host_header);
-/// Returns true if the Origin header names a program that may connect with Foxglove's
-/// protocol: the web pages of Foxglove and Lichtblick, a page of this machine, or a
-/// desktop program, whose page is a file.
+/// The web pages of Foxglove and Lichtblick, a page of this machine, or a desktop
+/// program, whose page is a file.
 bool is_origin_allowed_for_foxglove(std::string_view origin_header);
-/// Compares two secrets in constant time, so that the duration does not show how many
-/// characters match.
+/// In constant time, so that the duration does not show how many characters match.
 bool are_secrets_equal(std::string_view given_secret, std::string_view true_secret);
-/// Returns the value of a name in a list such as "a=1&b=2" (separator '&') or "a=1; b=2"
-/// (separator ';'). Returns an empty text if the list does not contain the name.
+/// In a list such as "a=1&b=2" (separator '&') or "a=1; b=2" (separator ';').
 std::string_view find_value_in_name_value_list(std::string_view name_value_list, std::string_view name,
                                                char separator);
-/// Returns true if the value of "token" in the URL of a request is the access token.
 bool is_token_in_url_query(const Credentials& credentials, std::string_view access_token);
-/// Returns true if the value of the cookie `cookie_name` is the access token.
 bool is_token_in_cookie_header(const Credentials& credentials, std::string_view access_token,
                                std::string_view cookie_name);
 

@@ -145,7 +145,6 @@ void FoxglovePlayer::subscribe_or_unsubscribe_by_message(Client& client,
     }
 }
 
-/// Sends the queued texts of all clients.
 /// @return true if a client subscribes to a topic
 bool FoxglovePlayer::send_queued_texts_and_check_subscribed() {
     const std::lock_guard lock(mutex_);
@@ -210,7 +209,6 @@ void FoxglovePlayer::send_to_subscribers(const std::vector<ScanMessage>& message
     }
 }
 
-/// Ends all subscriptions because no scan can be rendered.
 void FoxglovePlayer::clear_subscriptions_and_send_reason(const std::string& reason) {
     const std::lock_guard lock(mutex_);
     for (auto& [id, client] : clients_) {

@@ -25,11 +25,9 @@
 
 namespace relidar::view {
 
-/// Callbacks that send messages to clients. Only send_scan_if_due_and_get_wait_time()
-/// calls them.
+/// Called only by send_scan_if_due_and_get_wait_time().
 struct FoxgloveSendCallbacks {
     std::function<void(ClientId, std::string)> text;
-    /// Sends the binary messages of one scan.
     std::function<void(ClientId, std::vector<std::string>)> scan;
 };
 
@@ -38,19 +36,16 @@ struct FoxgloveSendCallbacks {
 /// uses the device. The server's thread calls the other functions.
 class FoxglovePlayer {
 public:
-    /// Creates a player that renders nothing yet.
     /// @param run must outlive the player
     FoxglovePlayer(const TrainedRun& run, Device& device, FoxgloveSendCallbacks answers);
 
-    /// Describes the topics to a new client.
     void add_client_and_send_topics(ClientId client_id);
-    /// Handles a message of a client.
     /// @return false if the client was not added by add_client_and_send_topics()
     bool handle_message_if_client_is_known(ClientId client_id, const std::string& message);
     void remove_client(ClientId client_id);
 
-    /// Renders and sends the next scan if its time has come. Scans follow each other in
-    /// the intervals of the log, or more slowly if the device is slow.
+    /// Scans follow each other in the intervals of the log, or more slowly if the device
+    /// is slow.
     /// @return the time until the next scan, but at most `max_wait`
     /// @throws DeviceError if the device has failed
     std::chrono::milliseconds send_scan_if_due_and_get_wait_time(std::chrono::milliseconds max_wait);
@@ -61,7 +56,7 @@ private:
         std::map<std::uint32_t, std::size_t> subscriptions = {};  ///< topic of each subscription
         std::deque<std::string> texts = {};                       ///< texts that will be sent
     };
-    /// State that exists only while a client subscribes to a topic.
+    /// Exists only while a client subscribes to a topic.
     struct Playback {
         ScanRenderer renderer;
         ScanMessageEncoder messages;

@@ -24,8 +24,7 @@ std::uint8_t convert_fraction_to_byte(float fraction) {
     return static_cast<std::uint8_t>(std::lround(255.0f * std::clamp(fraction, 0.0f, 1.0f)));
 }
 
-/// Concatenates arrays into one buffer. Lists the type, size and offset of each array for
-/// the JSON header.
+/// Lists the type, size and offset of each array for the JSON header.
 class BinaryArrayPacker {
 public:
     template <class T>

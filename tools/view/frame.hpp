@@ -29,8 +29,7 @@ struct LidarFrame;
 
 namespace relidar::view {
 
-/// Arrays of one scan. Element i of each array belongs to ray i. Probabilities and
-/// intensities are integers from 0 to 255.
+/// Element i of each array belongs to ray i. Probabilities and intensities are 0 to 255.
 struct ScanColumns {
     /// Size of the range image. `rows` is 1 if the rays do not form an image.
     int rows = 0, columns = 0;
@@ -51,23 +50,18 @@ struct ScanColumns {
     std::vector<ScanChannel> channels = {};
 };
 
-/// Converts a simulated scan to the arrays of a message.
-/// @param dataset_from_world_offset_m offset from relidar's world frame to the dataset's
-/// world frame
+/// @param dataset_from_world_offset_m from relidar's world frame to the dataset's
 ScanColumns convert_simulated_scan_to_columns(const RenderedScan& scan, const Config& config,
                                               const glm::dvec3& dataset_from_world_offset_m);
-/// Converts a measured scan to the arrays of a message.
 /// @param frame frame of the sequence that contains the scan
 ScanColumns convert_measured_scan_to_columns(const LidarSequence& sequence, const LidarFrame& frame);
 
-/// Returns a pose as a 4x4 matrix. The 16 numbers are in column-major order, as WebGL
-/// expects.
+/// 4x4 matrix in column-major order, as WebGL expects.
 nlohmann::json convert_pose_to_column_major_json(const Pose& pose);
 
-/// Encodes a simulated scan, a measured scan, or both as one binary message.
-/// @param json_header JSON header of the message, without the key "arrays"
-/// @param simulated_scan_or_null, measured_scan_or_null arrays of each scan, or null; the
-/// names of measured arrays begin with "real_"
+/// @param json_header without the key "arrays"
+/// @param simulated_scan_or_null, measured_scan_or_null names of measured arrays begin
+/// with "real_"
 std::string encode_scans_as_binary_message(nlohmann::json json_header,
                                            const ScanColumns* simulated_scan_or_null,
                                            const ScanColumns* measured_scan_or_null);

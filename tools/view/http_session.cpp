@@ -33,8 +33,7 @@ std::string_view get_url_query(std::string_view request_target) {
     return mark == std::string_view::npos ? std::string_view{} : request_target.substr(mark + 1);
 }
 
-/// Returns the HTTP status for a request that the parser rejected. Returns no value if
-/// the client has disconnected.
+/// No value if the client has disconnected.
 std::optional<http::status> find_status_of_parse_error(const boost::system::error_code& parse_error) {
     if (parse_error == http::error::body_limit || parse_error == http::error::unexpected_body)
         return http::status::payload_too_large;
@@ -51,8 +50,7 @@ std::optional<http::status> find_status_of_parse_error(const boost::system::erro
 HttpSession::HttpSession(boost::asio::ip::tcp::socket socket, WebServerState& hub)
     : hub_(hub), counted_(hub), stream_(std::move(socket)), timer_(hub.io) {}
 
-/// Starts a timer. If the current read or write takes longer than `max_duration`, the
-/// timer cancels it.
+/// If the current read or write takes longer, the timer cancels it.
 void HttpSession::start_timeout(std::chrono::milliseconds max_duration) {
     late_ = false;
     timer_.expires_after(max_duration);
@@ -81,9 +79,7 @@ void HttpSession::handle_read_result(Error error) {
     if (const std::optional<Status> status = find_status_of_parse_error(error)) send_error_response(*status);
 }
 
-/// Returns the first Foxglove subprotocol that a WebSocket handshake requests. Returns an
-/// empty text if the request is no such handshake, or if this server does not offer
-/// Foxglove.
+/// Empty if the request is no such handshake, or if this server does not offer Foxglove.
 std::string_view HttpSession::find_offered_foxglove_protocol(const Request& request) const {
     if (!hub_.events.foxglove_opened || !boost::beast::websocket::is_upgrade(request)) return {};
     for (const auto& requested : http::token_list{request[http::field::sec_websocket_protocol]})
@@ -92,9 +88,8 @@ std::string_view HttpSession::find_offered_foxglove_protocol(const Request& requ
     return {};
 }
 
-/// Returns the HTTP status if a request is rejected. Returns no value if the request is
-/// allowed. The order of the checks reveals as little as possible to a client without
-/// access.
+/// No value if the request is allowed. The order of the checks reveals as little as
+/// possible to a client without access.
 std::optional<HttpSession::Status> HttpSession::find_error_status_if_not_allowed(
     const Request& request, bool is_foxglove_client) const {
     if (request.count(http::field::host) != 1) return Status::bad_request;
@@ -154,9 +149,9 @@ void HttpSession::answer_request(const Request& request) {
     start_writing_response();
 }
 
-/// Creates an HTTP response with the security headers.
-/// @param host host name for the WebSocket address in the security policy, or empty.
-/// Needed because some browsers do not include WebSockets in 'self'.
+/// With the security headers.
+/// @param host for the WebSocket address in the security policy, or empty. Needed because
+/// some browsers do not include WebSockets in 'self'.
 HttpSession::Response HttpSession::make_response_with_common_headers(Status status,
                                                                      const std::string& host) const {
     Response response{status, 11};
@@ -204,8 +199,7 @@ void HttpSession::start_writing_response() {
     });
 }
 
-/// Reads the remaining data of a rejected client for a short time and discards it. If a
-/// connection is closed with unread data, the client does not receive the response.
+/// If a connection is closed with unread data, the client does not receive the response.
 void HttpSession::discard_remaining_input_and_close() {
     buffer_.consume(buffer_.size());
     stream_.async_read_some(buffer_.prepare(kDrainedAtOnce),

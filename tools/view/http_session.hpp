@@ -25,8 +25,7 @@ class HttpSession : public std::enable_shared_from_this<HttpSession> {
 public:
     HttpSession(boost::asio::ip::tcp::socket socket, WebServerState& hub);
     void start_reading_request();
-    /// Sends an error message, because the server has too many connections, and closes
-    /// this connection.
+    /// The server has too many connections.
     void send_overload_error_and_close();
 
 private:
@@ -50,8 +49,7 @@ private:
     CountedConnection counted_;
     boost::beast::tcp_stream stream_;
     boost::asio::steady_timer timer_;
-    /// True if the timer has cancelled the current read or write because it took too
-    /// long.
+    /// True if the timer has cancelled the current read or write.
     bool late_ = false;
     int n_drains_ = 0;
     boost::beast::flat_buffer buffer_;

@@ -7,8 +7,7 @@
 
 namespace relidar {
 
-// Returns the names and texts of the web page's files. cmake/Assets.cmake generates the
-// definition of this function.
+// cmake/Assets.cmake generates the definition.
 std::span<const std::pair<std::string_view, std::string_view>> view_page_texts();
 
 namespace view {

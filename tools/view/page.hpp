@@ -9,7 +9,7 @@
 
 namespace relidar::view {
 
-/// Returns all files of the web page. Their texts stay valid until the program ends.
+/// The texts stay valid until the program ends.
 const std::vector<WebPageFile>& get_web_page_files();
 
 }  // namespace relidar::view

@@ -11,7 +11,6 @@
 namespace relidar::view {
 namespace {
 
-/// Returns a copy of a run without its surfels.
 std::unique_ptr<TrainedRun> copy_run_without_surfel_scene(const TrainedRun& run) {
     auto result = std::make_unique<TrainedRun>();
     result->folder = run.folder;
@@ -48,8 +47,6 @@ void RecordedScans::load_measured_scans() {
         std::iota(all.begin(), all.end(), 0);
         copy_scans_into_run(*frames_, all, log);
         state_ = RecordedScansState::ready;
-        // If the log cannot be read, the viewer shows the reason and works without
-        // measured scans.
     } catch (const std::exception& error) {
         why_ = error.what();
         state_ = RecordedScansState::missing;

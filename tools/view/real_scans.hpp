@@ -19,18 +19,15 @@ class RecordedScans {
 public:
     enum class RecordedScansState { loading, ready, missing };
 
-    /// Starts to load the log on which the run was trained.
     explicit RecordedScans(const TrainedRun& run);
-    /// Stops the background thread and waits until it has ended.
     ~RecordedScans();
     RecordedScans(const RecordedScans&) = delete;
     RecordedScans& operator=(const RecordedScans&) = delete;
 
     RecordedScansState get_loading_state() const { return state_; }
-    /// Returns a one-line text that says why the scans are missing.
+    /// One line.
     std::string get_reason_for_missing_scans() const;
-    /// Returns the frames of the run with their measured scans. Returns null until all
-    /// scans are loaded.
+    /// Null until all scans are loaded.
     const LidarSequence* get_log_with_scans_or_null() const;
 
 private:

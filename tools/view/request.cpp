@@ -14,7 +14,7 @@ namespace {
 
 using Json = nlohmann::json;
 
-// Maximum absolute value of a position or move. Larger values are rejected with an error.
+// Absolute values of positions and moves.
 constexpr double kFar_m = 10'000.0;
 constexpr double kFarAway_m = 1e6;  // Maximum absolute value of a position in relidar's world frame.
 constexpr double kFast_mps = 200.0;
@@ -60,13 +60,12 @@ std::string read_nonempty_text(const Json& value, const char* name_for_errors,
     return result;
 }
 
-/// Returns the name of the run that contains an actor. An empty name means the run that
-/// the viewer shows.
+/// An empty name means the run that the viewer shows.
 std::string read_run_name_or_empty(const Json& run_name_json) {
     return run_name_json == "" ? "" : read_nonempty_text(run_name_json, "from", kMaxRunName);
 }
 
-/// Reads an array of N numbers. Number i must not exceed limits[i] in absolute value.
+/// Number i must not exceed limits[i] in absolute value.
 template <std::size_t N>
 std::array<double, N> read_number_array(const Json& value, const char* name_for_errors,
                                         const std::array<double, N>& max_absolute_values) {
@@ -132,8 +131,7 @@ LiveScanRequest parse_live_scan_request(const Json& request_json) {
     return wish;
 }
 
-/// Reads the name of a new folder. Rejects a name that contains a path, so that the
-/// folder cannot be created elsewhere.
+/// Rejects a path, so that the folder cannot be created elsewhere.
 std::string read_new_folder_name(const Json& value) {
     std::string name = read_nonempty_text(value, "name");
     const auto plain = [](char character) {

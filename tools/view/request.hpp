@@ -26,13 +26,11 @@
 
 namespace relidar::view {
 
-/// Changes of the actors in a run. They are applied in this order: copies, moves,
-/// removals.
+/// Applied in this order: copies, moves, removals.
 struct ActorEdits {
     struct ActorCopy {
         std::string of;
-        /// Name of the run that contains the actor to copy. Empty if the actor is in the
-        /// run that the viewer shows.
+        /// Run of the actor to copy. Empty for the run that the viewer shows.
         std::string from;
         /// Position x, y, z in relidar's world frame (metres); yaw, pitch and roll
         /// (degrees); forward speed (m/s).
@@ -69,8 +67,7 @@ struct SensorFile {
     std::string text;
 };
 
-/// Requests a ground pose for a new copy of an actor at the position where the user has
-/// clicked.
+/// For a new copy of an actor at the position where the user has clicked.
 struct GroundPoseRequest {
     std::string of;
     std::string from;            ///< See ActorEdits::ActorCopy.
@@ -84,7 +81,6 @@ struct SaveRequest {
 
 using BrowserRequest = std::variant<LiveScanRequest, SensorFile, SaveRequest, GroundPoseRequest>;
 
-/// Parses a request that the web page has sent as JSON.
 /// @throws UsageError that names the first value that is missing, has a wrong type, or is
 /// out of range
 BrowserRequest parse_browser_request(const std::string& request_json_text);

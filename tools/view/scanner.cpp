@@ -27,15 +27,14 @@ constexpr std::size_t kMaxRays = std::size_t(1) << 20;
 constexpr double kSameTime_s = 1e-6;
 constexpr const char* kFileSensor = "file";
 
-/// Returns the sensor names that find_or_load_sensor() accepts.
 std::vector<std::string> list_native_and_built_in_sensor_names() {
     std::vector<std::string> names = list_sensor_names();
     names.insert(names.begin(), "native");
     return names;
 }
 
-/// Returns a hash (FNV-1a) of the run's path, so that clients do not learn the path.
-/// After a restart, the web page compares the hash to detect another run.
+/// FNV-1a, so that clients do not learn the path. After a restart, the web page compares
+/// the hash to detect another run.
 std::string compute_hash_text_of_run_path(const TrainedRun& run) {
     std::uint32_t hash = 2166136261u;
     for (const char c : std::filesystem::absolute(run.folder).lexically_normal().string())
@@ -43,7 +42,6 @@ std::string compute_hash_text_of_run_path(const TrainedRun& run) {
     return fmt::format("{:08x}", hash);
 }
 
-/// Returns a JSON list of the actors that the user can copy.
 Json make_copyable_actors_json(const TrainedRun& run) {
     Json actors = Json::array();
     for (const ModelInstance& instance : run.scene.instances) {
@@ -53,11 +51,9 @@ Json make_copyable_actors_json(const TrainedRun& run) {
     return actors;
 }
 
-/// A file in a private temporary folder. The destructor removes both the file and the
-/// folder.
+/// In a private temporary folder. The destructor removes both.
 class UploadedFile {
 public:
-    /// Writes a text to a new temporary file.
     /// @param ending extension of the file, ".csv" or ".json"
     UploadedFile(const std::string& text, const std::string& ending) {
         std::string pattern = (std::filesystem::temp_directory_path() / "relidar-sensor-XXXXXX").string();
@@ -208,9 +204,8 @@ Json BrowserScanRenderer::store_uploaded_sensor_and_describe_it(TabCache& tab_ca
     return {{"name", file.name}, {"rows", rays.rows}, {"columns", rays.columns}, {"rays", rays.size()}};
 }
 
-/// Returns a renderer for the scene with all edits. Creates a new renderer if an actor is
-/// copied or moved for the first time, because the surfels change. Other edits reuse the
-/// renderer.
+/// Creates a new renderer if an actor is copied or moved for the first time, because the
+/// surfels change. Other edits reuse the renderer.
 ScanRenderer& BrowserScanRenderer::get_renderer_for_edited_scene(const EditedTraffic& traffic) {
     // Only copied and moved actors change the surfels of the scene. Scenes with equal
     // lists of these actors can share a renderer.
@@ -249,8 +244,7 @@ ScanRenderer& BrowserScanRenderer::get_renderer_for_edited_scene(const EditedTra
     return *renderer_;
 }
 
-/// Returns the measured frame of the requested LiDAR that is nearest in time. Returns
-/// null if measured scans are missing or not requested.
+/// The nearest in time. Null if measured scans are missing or not requested.
 const LidarFrame* BrowserScanRenderer::find_measured_frame_to_compare_with(
     const LiveScanRequest& request) const {
     const LidarSequence* log = real_.get_log_with_scans_or_null();
@@ -277,9 +271,9 @@ RenderedScan BrowserScanRenderer::render_simulated_scan(const EditedTraffic& edi
     return renderer.render(sensor, request);
 }
 
-/// Returns the duration in milliseconds of the last launch of each kernel that has run
-/// since the previous call. A kernel has run if its list of launch times has grown. A
-/// list with kFull entries cannot grow, so its kernel is always included.
+/// Milliseconds of the last launch of each kernel that has run since the previous call:
+/// its list of launch times has grown. A list with kFull entries cannot grow, so its
+/// kernel is always included.
 Json BrowserScanRenderer::make_kernel_times_json() {
     constexpr std::size_t kFull = 4096;
     Json times = Json::array();

@@ -24,14 +24,13 @@ namespace relidar::view {
 
 /// State that the server keeps for a browser tab between two scans.
 struct TabCache {
-    /// Sensor in the file that the browser tab has uploaded.
     std::optional<SimulatedSensor> file_sensor = {};
     std::optional<EditedTraffic> traffic = {};
     /// Sensor of the previous scan, and its key "lidar/name".
     std::optional<std::pair<std::string, SimulatedSensor>> sensor = {};
 };
 
-/// Renders scans of a run for the web page. Only one thread may use this object.
+/// Only one thread may use this object.
 class BrowserScanRenderer {
 public:
     /// @param others other runs, whose actors the user can insert into the scene
@@ -40,13 +39,11 @@ public:
     const TrainedRun& get_run() const { return run_; }
     const OtherRunsByName& get_other_runs() const { return others_; }
     const RecordedScans& get_measured_scans() const { return real_; }
-    /// Returns the data that the web page needs only once: the run, its frames and path,
-    /// built-in sensors, actors of other runs, and the device.
+    /// Data that the web page needs only once.
     nlohmann::json make_initial_page_data_json() const;
-    /// Renders a scan and encodes it in the binary format of frame.hpp.
-    /// @throws UsageError or DataError if the scan cannot be rendered
+    /// In the binary format of frame.hpp.
+    /// @throws UsageError or DataError
     std::string render_scan_as_binary_message(TabCache& tab_cache, const LiveScanRequest& request);
-    /// Reads a sensor file that a browser tab has uploaded.
     /// @return a description of the sensor
     /// @throws UsageError or DataError if the file is invalid
     nlohmann::json store_uploaded_sensor_and_describe_it(TabCache& tab_cache, const SensorFile& file) const;

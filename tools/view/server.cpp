@@ -23,10 +23,9 @@ namespace {
 using boost::asio::ip::tcp;
 using ErrorCode = boost::system::error_code;
 
-// Pause before the next attempt if the system has no free file descriptor.
+// If the system has no free file descriptor.
 constexpr std::chrono::milliseconds kAcceptPause{50};
-// Interval at which reject_new_clients_and_close_after_sending() checks whether all
-// connections are closed.
+// Interval at which drain checks whether all connections are closed.
 constexpr std::chrono::milliseconds kCloseLook{5};
 
 boost::asio::ip::address parse_ip_address(const std::string& address_text) {
@@ -94,8 +93,7 @@ struct WebServer::Impl {
         });
     }
 
-    /// Calls a function with the session of a client in the thread of the server. Does
-    /// nothing if the client has disconnected.
+    /// Does nothing if the client has disconnected.
     template <class Work>
     void call_session_on_server_thread(ClientId client_id, Work call_session) {
         boost::asio::post(hub.io, [this, client_id, work = std::move(call_session)]() mutable {

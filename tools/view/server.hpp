@@ -25,7 +25,7 @@
 
 namespace relidar::view {
 
-/// A file of the web page. The server sends it if a client requests exactly this path.
+/// The server sends it if a client requests exactly this path.
 struct WebPageFile {
     std::string_view path;  ///< Path in the URL, such as "/main.js". The path "/" is the start page.
     std::string_view type;  ///< Value of the header Content-Type.
@@ -35,8 +35,7 @@ struct WebPageFile {
 struct WebServerOptions {
     std::string address = "127.0.0.1";  ///< Literal IPv4 or IPv6 address to listen on.
     int port = 8080;                    ///< TCP port to listen on. The value 0 selects a free port.
-    /// Access token that every request must contain. If the text is empty, no token is
-    /// needed.
+    /// Every request must contain it. Empty: no token is needed.
     std::string token = {};
     std::span<const WebPageFile> assets = {};
     std::size_t max_connections = 64;
@@ -45,12 +44,10 @@ struct WebServerOptions {
     std::size_t max_message_bytes = std::size_t(1) << 20;
     /// Maximum time in which the client must send a complete request.
     std::chrono::milliseconds request_time{5000};
-    /// Maximum time in which a client must answer a ping. After this time, its WebSocket
-    /// is closed.
+    /// In which a client must answer a ping. Then its WebSocket is closed.
     std::chrono::milliseconds idle_time{30000};
 };
 
-/// Path of the WebSocket.
 inline constexpr std::string_view kSocketPath = "/live";
 /// WebSocket subprotocols of Foxglove. Both have the same messages. Clients that request
 /// one of them can also connect to the path "/".
@@ -59,8 +56,7 @@ inline constexpr std::string_view kFoxgloveProtocols[] = {"foxglove.websocket.v1
 /// Identifies one open WebSocket during its lifetime.
 using ClientId = std::uint64_t;
 
-/// Callbacks for events of WebSocket clients. The server's thread calls them one at a
-/// time. They must not throw exceptions.
+/// The server's thread calls them one at a time. They must not throw exceptions.
 struct WebSocketEvents {
     std::function<void(ClientId)> opened;
     /// Called for each text message of a client. The message has at most
@@ -74,32 +70,27 @@ struct WebSocketEvents {
 
 class WebServer {
 public:
-    /// Starts to listen and to answer requests.
     /// @throws UsageError if the address or the port is not available
     WebServer(const WebServerOptions& options, WebSocketEvents events);
-    /// Closes all connections immediately. Call
-    /// reject_new_clients_and_close_after_sending() first, if queued messages should
-    /// still be sent.
+    /// Closes all connections immediately. reject_new_clients_and_close_after_sending()
+    /// sends queued messages first.
     ~WebServer();
     WebServer(const WebServer&) = delete;
     WebServer& operator=(const WebServer&) = delete;
 
     int port() const;
-    /// Returns the URL of the web page for a browser on this machine. The URL contains
-    /// the access token.
+    /// For a browser on this machine. Contains the access token.
     std::string get_page_url() const;
 
-    /// Sends a text to a client. Does nothing if the client has disconnected. May be
-    /// called by any thread.
+    /// Does nothing if the client has disconnected. Thread-safe, like the next functions.
     void send_text(ClientId client_id, std::string text);
-    /// Sends a binary message to a client. The message replaces an older binary message
-    /// that is still queued, because only the newest scan matters.
+    /// Replaces an older binary message that is still queued, because only the newest
+    /// scan matters.
     void send_scan_and_drop_queued_older_scan(ClientId client_id, std::string scan_message);
-    /// Sends several binary messages to a client. Skips all of them if earlier messages
-    /// are still queued, because the client is slow.
+    /// Skips all messages if earlier messages are still queued, because the client is
+    /// slow.
     void send_messages_unless_client_is_slow(ClientId client_id, std::vector<std::string> messages);
     /// Rejects new connections. Closes each WebSocket after its queued messages are sent.
-    /// @param max_wait longest time to wait until the messages are sent
     void reject_new_clients_and_close_after_sending(std::chrono::milliseconds max_wait);
 
 private:
@@ -107,11 +98,10 @@ private:
     std::unique_ptr<Impl> impl_;
 };
 
-/// Checks the network address on which the server will listen.
 /// @throws UsageError if the text is not an IP address
 void require_valid_ip_address(const std::string& address);
 
-/// Returns a random secret of 32 hexadecimal digits.
+/// 32 hexadecimal digits.
 std::string make_random_access_token();
 
 }  // namespace relidar::view

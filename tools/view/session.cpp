@@ -82,8 +82,7 @@ void ViewerSession::handle_tab_message(TabId id, const std::string& message) {
     arrived_.notify_one();
 }
 
-/// Returns the most urgent job of a browser tab, or no value if the tab has none. The
-/// caller must hold the mutex.
+/// The most urgent job. The caller must hold the mutex.
 std::optional<ViewerSession::ViewerJob> ViewerSession::take_next_job_of_tab(
     TabId tab_id, const std::shared_ptr<BrowserTabState>& tab) {
     if (!tab->greeted) {
@@ -131,8 +130,7 @@ std::optional<ViewerSession::ViewerJob> ViewerSession::take_next_job_of_tab(
     return {};
 }
 
-/// Returns the next job of any browser tab. Starts with the tab after the previous one,
-/// so that all tabs are served in turn.
+/// Starts with the tab after the previous one, so that all tabs are served in turn.
 std::optional<ViewerSession::ViewerJob> ViewerSession::wait_for_next_viewer_job(
     std::chrono::milliseconds max_wait) {
     std::optional<ViewerJob> job;

@@ -23,20 +23,17 @@ namespace relidar::view {
 
 using TabId = std::uint64_t;
 
-/// Callbacks that send responses to browser tabs. Only the thread that calls
-/// wait_for_and_run_next_request() calls them. A text is a JSON object whose member
-/// "kind" is hello, log, sensor, ground, saved or error.
+/// Called only by the thread of wait_for_and_run_next_request(). A text is a JSON object
+/// whose member "kind" is hello, log, sensor, ground, saved or error.
 struct TabSendCallbacks {
     std::function<void(TabId, std::string)> text;
-    /// Sends a binary message in the format of frame.hpp to a browser tab.
     std::function<void(TabId, std::string)> frame;
 };
 
 class ViewerSession {
 public:
-    /// Creates the session of a run.
-    /// @param others other runs, whose actors the user can insert into this run
-    /// @param save_folder folder in which edited runs are saved
+    /// @param others other runs, whose actors the user can insert
+    /// @param save_folder for edited runs
     ViewerSession(TrainedRun run, OtherRunsByName others, Device& device, std::filesystem::path save_folder,
                   TabSendCallbacks answers);
 
@@ -46,11 +43,10 @@ public:
     void close_tab(TabId tab_id);
     void handle_tab_message(TabId tab_id, const std::string& message);
 
-    /// Executes one request of a browser tab. Waits at most `max_wait` for a request.
     /// @return true if a request was executed
     /// @throws DeviceError if the device has failed
     bool wait_for_and_run_next_request(std::chrono::milliseconds max_wait);
-    /// Executes all pending requests and ignores new messages.
+    /// Ignores new messages.
     /// @throws DeviceError if the device has failed
     void run_pending_requests_and_stop();
 

@@ -115,8 +115,7 @@ void SocketSession::close_with_reason(std::uint16_t code, const char* reason) {
                         [self = shared_from_this()](Error) { self->remove_client_from_hub(); });
 }
 
-/// Closes the connection to a client that has sent an invalid message. Waits until the
-/// current write is finished.
+/// Waits until the current write is finished.
 void SocketSession::close_because_of_invalid_message() {
     refused_ = true;
     if (!outgoing_.empty()) {

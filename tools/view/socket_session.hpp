@@ -23,14 +23,12 @@ namespace relidar::view {
 class SocketSession : public std::enable_shared_from_this<SocketSession> {
 public:
     SocketSession(boost::beast::tcp_stream stream, CountedConnection counted, WebServerState& hub);
-    /// Accepts the WebSocket handshake. Then reads messages until the client disconnects.
     /// @param foxglove_protocol selected subprotocol of Foxglove; empty for the web page
     void accept_handshake(const boost::beast::http::request<boost::beast::http::empty_body>& upgrade_request,
                           std::string_view foxglove_protocol);
     void send_or_queue_message(std::string bytes, bool is_text, bool drop_queued_older_message);
-    /// Sends binary messages. Skips all of them if earlier messages are still queued.
+    /// Skips all of them if earlier messages are still queued.
     void send_messages_if_queue_is_empty(std::vector<std::string> messages);
-    /// Closes the connection after all queued messages are sent.
     void close_after_sending_queued_messages();
 
 private:

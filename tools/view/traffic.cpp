@@ -36,7 +36,7 @@ SceneWithLog apply_actor_moves_to_tracks(SceneWithLog scene_with_log, const Acto
     return scene_with_log;
 }
 
-/// Returns only the tracks and object instances of a run, without scans and surfels.
+/// Without scans and surfels.
 SceneWithLog copy_tracks_and_instances(const TrainedRun& run) {
     SceneWithLog driving{copy_scene_without_surfels(run.scene), run.sequence};
     for (SurfelModel& model : driving.scene.models) model.first = model.count = 0;
@@ -53,9 +53,7 @@ const TrainedRun& get_other_run_by_name(const std::string& run_name, const Other
     return match->second;
 }
 
-/// Adds a copy of an actor to the scene for each element of `copies`.
-/// @param get_scene_with_log_of_run returns tracks and instances of another run, with or
-/// without surfels
+/// @param get_scene_with_log_of_run with or without surfels
 SceneWithLog copy_actors_from_this_or_other_run(
     SceneWithLog scene_with_log, const OtherRunsByName& other_runs,
     const std::vector<ActorEdits::ActorCopy>& copies,
@@ -78,8 +76,7 @@ void require_tracks_exist(const SceneWithLog& scene_with_log, const std::set<std
     (void)mark_instances_with_names(scene_with_log.scene, names);
 }
 
-/// Converts the edits to the history of a saved run, in the form that `relidar edit`
-/// writes.
+/// In the form that `relidar edit` writes.
 std::vector<EditHistoryEntry> convert_edits_to_history_entries(const TrainedRun& run,
                                                                const OtherRunsByName& other_runs,
                                                                const ActorEdits& edits) {

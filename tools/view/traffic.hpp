@@ -18,36 +18,29 @@ struct TrainedRun;
 
 namespace relidar::view {
 
-/// Other runs whose actors the user can insert. The key is the name of the run on the web
-/// page.
+/// By the name of the run on the web page.
 using OtherRunsByName = std::map<std::string, TrainedRun>;
 
-/// Adds copies of actors to a scene. The copied actors belong to this run or to other
-/// runs.
 /// @throws UsageError if a run or track is unknown
 SceneWithLog add_copied_actors_with_surfels(SceneWithLog scene_with_log, const OtherRunsByName& other_runs,
                                             const std::vector<ActorEdits::ActorCopy>& copies);
 
-/// Returns a copy of an actor that stands on the ground at the position where the user
-/// has clicked.
-/// @throws UsageError if there is no ground at this position
+/// At the position where the user has clicked.
+/// @throws UsageError if there is no ground
 ActorEdits::ActorCopy make_actor_copy_on_ground(const TrainedRun& run, const OtherRunsByName& other_runs,
                                                 const GroundPoseRequest& request);
 
-/// Tracks and instances of a run's actors after all edits, without surfels.
+/// After all edits, without surfels.
 class EditedTraffic {
 public:
-    /// Applies the edits to the tracks of a run.
     /// @throws UsageError if a track is unknown
     EditedTraffic(const TrainedRun& run, const OtherRunsByName& others, const ActorEdits& edits);
 
     const ActorEdits& get_edits() const { return edits_; }
     const std::vector<ModelInstance>& get_instances() const { return driving_.scene.instances; }
-    /// Returns the poses of all visible actors at time `time_s`, in the world frame of
-    /// the dataset. The result can be assigned to ScanRequest::dataset_from_actor.
+    /// In the world frame of the dataset, for ScanRequest::dataset_from_actor.
     ActorTracksByName get_poses_of_visible_actors(double time_s) const;
-    /// Returns a JSON list of all actors, including hidden actors: [{track, category,
-    /// size, present, pose}].
+    /// Including hidden actors: [{track, category, size, present, pose}].
     nlohmann::json list_actors_as_json(double time_s) const;
 
 private:
@@ -59,8 +52,7 @@ private:
     ActorEdits edits_;
 };
 
-/// Returns the run after all edits. Hidden actors stay in the run. The history of the new
-/// run contains the edits.
+/// Hidden actors stay in the run. The history of the new run contains the edits.
 TrainedRun apply_edits_to_copy_of_run(const TrainedRun& run, const OtherRunsByName& other_runs,
                                       const ActorEdits& edits);
 

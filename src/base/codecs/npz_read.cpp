@@ -20,6 +20,7 @@ constexpr std::size_t kMaxExpansion = 1032;
 using ZipArchive = std::unique_ptr<zip_t, decltype(&zip_discard)>;
 
 ZipArchive open_zip(const std::vector<std::byte>& bytes) {
+    if (bytes.empty()) fail("the file is empty");  // libzip would see an archive without entries.
     zip_error_t error;
     zip_error_init(&error);
     zip_source_t* source = zip_source_buffer_create(bytes.data(), bytes.size(), 0, &error);
