@@ -30,20 +30,27 @@ namespace fs = std::filesystem;
 
 constexpr std::uint64_t kSecond_ns = 1000000000, kStart_ns = 1700000000 * kSecond_ns;
 
-std::string sized(std::string_view bytes) {
-    std::string all;
-    append_binary_value(all, std::uint32_t(bytes.size()));
-    return all.append(bytes);
+/// Returns the bytes of the values, one after another.
+template <class... T>
+std::string pack(T... numbers) {
+    std::string bytes;
+    (append_binary_value(bytes, numbers), ...);
+    return bytes;
 }
+
+std::string sized(std::string_view bytes) { return pack(std::uint32_t(bytes.size())).append(bytes); }
 
 /// Builds a message in the serialization of ROS 1 or in CDR (ROS 2).
 class Draft {
 public:
     explicit Draft(bool is_ros1) : is_ros1_(is_ros1) {}
-    template <class T>
-    Draft& add(T value) {
-        while (!is_ros1_ && bytes_.size() % sizeof(T) != 0) bytes_ += '\0';
-        append_binary_value(bytes_, value);
+    template <class... T>
+    Draft& add(T... values) {
+        const auto add_one = [&](auto value) {
+            while (!is_ros1_ && bytes_.size() % sizeof(value) != 0) bytes_ += '\0';
+            append_binary_value(bytes_, value);
+        };
+        (add_one(values), ...);
         return *this;
     }
     Draft& add_text(std::string_view text) {
@@ -54,8 +61,7 @@ public:
     }
     Draft& add_header(std::uint64_t stamp_ns, std::string_view frame) {
         if (is_ros1_) add(std::uint32_t(0));
-        return add(std::uint32_t(stamp_ns / kSecond_ns))
-            .add(std::uint32_t(stamp_ns % kSecond_ns))
+        return add(std::uint32_t(stamp_ns / kSecond_ns), std::uint32_t(stamp_ns % kSecond_ns))
             .add_text(frame);
     }
     std::string take() const { return is_ros1_ ? bytes_ : std::string("\0\1\0\0", 4) + bytes_; }
@@ -80,46 +86,30 @@ std::string cloud(bool is_ros1, std::uint64_t stamp_ns) {
             const float azimuth = 3.14f - 0.2618f * float(column);
             for (const float v : {9.0f * std::cos(azimuth), 9.0f * std::sin(azimuth), 0.5f * float(ring)})
                 append_binary_value(points, v);
-            append_binary_value(points, std::uint16_t(7));
-            append_binary_value(points, std::uint16_t(ring));
-            append_binary_value(points, 0.004f * float(column));
+            points += pack(std::uint16_t(7), std::uint16_t(ring), 0.004f * float(column));
         }
     Draft draft(is_ros1);
-    draft.add_header(stamp_ns, "lidar")
-        .add(std::uint32_t(1))
-        .add(std::uint32_t(96))
-        .add(std::uint32_t(std::size(kFields)));
-    for (const Field& field : kFields)
-        draft.add_text(field.name).add(field.offset).add(field.type).add(std::uint32_t(1));
-    draft.add(std::uint8_t(0))
-        .add(std::uint32_t(20))
-        .add(std::uint32_t(points.size()))
-        .add(std::uint32_t(points.size()));
+    draft.add_header(stamp_ns, "lidar").add(1u, 96u, std::uint32_t(std::size(kFields)));
+    for (const Field& field : kFields) draft.add_text(field.name).add(field.offset, field.type, 1u);
+    draft.add(std::uint8_t(0), 20u, std::uint32_t(points.size()), std::uint32_t(points.size()));
     for (const char byte : points) draft.add(byte);
     return draft.add(std::uint8_t(1)).take();
 }
 
 std::string transform(bool is_ros1, std::uint64_t stamp_ns, double value) {
     Draft draft(is_ros1);
-    draft.add(std::uint32_t(1)).add_header(stamp_ns, "map").add_text("lidar");
-    for (const double v : {value, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0}) draft.add(v);
-    return draft.take();
+    draft.add(1u).add_header(stamp_ns, "map").add_text("lidar");
+    return draft.add(value, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0).take();
 }
 
 /// Returns a packet of a VLP-16. Each packet covers half a turn.
 std::string make_packet(int number) {
     std::string bytes;
     for (int b = 0; b < 12; ++b) {
-        append_binary_value(bytes, std::uint16_t(0xEEFF));
-        append_binary_value(bytes, std::uint16_t((b * 1500 + number * 18000) % 36000));
-        for (int l = 0; l < 32; ++l) {
-            append_binary_value(bytes, std::uint16_t(2000));
-            append_binary_value(bytes, std::uint8_t(9));
-        }
+        bytes += pack(std::uint16_t(0xEEFF), std::uint16_t((b * 1500 + number * 18000) % 36000));
+        for (int l = 0; l < 32; ++l) bytes += pack(std::uint16_t(2000)) + '\x09';
     }
-    append_binary_value(bytes, std::uint32_t(number * 50000));
-    append_binary_value(bytes, std::uint16_t(0x2239));
-    return bytes;
+    return bytes + pack(std::uint32_t(number * 50000), std::uint16_t(0x2239));
 }
 
 std::string make_packets(std::uint64_t stamp_ns) {
@@ -127,7 +117,7 @@ std::string make_packets(std::uint64_t stamp_ns) {
     draft.add_header(stamp_ns, "velodyne").add(std::uint32_t(2));
     for (int k = 0; k < 2; ++k) {
         const std::string bytes = make_packet(k);
-        draft.add(std::uint32_t(stamp_ns / kSecond_ns)).add(std::uint32_t(stamp_ns % kSecond_ns));
+        draft.add(std::uint32_t(stamp_ns / kSecond_ns), std::uint32_t(stamp_ns % kSecond_ns));
         for (const char byte : bytes) draft.add(byte);
     }
     return draft.take();
@@ -153,26 +143,19 @@ std::vector<SeedMessage> make_seed_messages(bool is_ros1) {
 }
 
 std::string make_mcap_record(std::uint8_t code, std::string_view body) {
-    std::string bytes(1, char(code));
-    append_binary_value(bytes, std::uint64_t(body.size()));
-    return bytes.append(body);
+    return pack(code, std::uint64_t(body.size())).append(body);
 }
 
 std::string make_mcap(const std::string& compression) {
     std::string records;
     for (int t = 0; t < 2; ++t) {
-        std::string id, channel;
-        append_binary_value(id, std::uint16_t(t + 1));
+        const std::string id = pack(std::uint16_t(t + 1));
         records += make_mcap_record(3, id + sized(kTypes[t]) + sized("ros2msg") + sized(""));
         records += make_mcap_record(4, id + id + sized(kTopics[t]) + sized("cdr") + sized(""));
     }
     for (const SeedMessage& message : make_seed_messages(false)) {
-        std::string body;
-        append_binary_value(body, std::uint16_t(message.topic + 1));
-        append_binary_value(body, std::uint32_t(0));
-        append_binary_value(body, message.time_ns);
-        append_binary_value(body, message.time_ns);
-        records += make_mcap_record(5, body + message.bytes);
+        const std::string head = pack(std::uint16_t(message.topic + 1), 0u, message.time_ns, message.time_ns);
+        records += make_mcap_record(5, head + message.bytes);
     }
     const std::string magic("\x89MCAP0\r\n", 8);
     if (compression == "no chunk") return magic + records + make_mcap_record(15, std::string(4, '\0'));
@@ -185,11 +168,8 @@ std::string make_mcap(const std::string& compression) {
         packed.resize(ZSTD_compressBound(records.size()));
         packed.resize(ZSTD_compress(packed.data(), packed.size(), records.data(), records.size(), 3));
     }
-    std::string chunk(16, '\0');
-    append_binary_value(chunk, std::uint64_t(records.size()));
-    append_binary_value(chunk, std::uint32_t(0));
-    chunk += sized(compression);
-    append_binary_value(chunk, std::uint64_t(packed.size()));
+    const std::string chunk = std::string(16, '\0') + pack(std::uint64_t(records.size()), 0u) +
+                              sized(compression) + pack(std::uint64_t(packed.size()));
     return magic + make_mcap_record(6, chunk + packed);
 }
 
@@ -204,32 +184,24 @@ std::string make_ros1_record(const std::vector<std::pair<std::string, std::strin
     return sized(header) + sized(data);
 }
 
-std::string pack_four_bytes(std::uint32_t value) {
-    std::string bytes;
-    append_binary_value(bytes, value);
-    return bytes;
-}
-
 std::vector<std::string> make_ros1_seeds(const fs::path&) {
     std::string records;
     for (std::uint32_t t = 0; t < 2; ++t) {
         const std::string about =
             sized(std::string("topic=") + kTopics[t]) + sized(std::string("type=") + kTypes[t]);
-        records +=
-            make_ros1_record({{"op", "\x07"}, {"conn", pack_four_bytes(t)}, {"topic", kTopics[t]}}, about);
+        records += make_ros1_record({{"op", "\x07"}, {"conn", pack(t)}, {"topic", kTopics[t]}}, about);
     }
     for (const SeedMessage& m : make_seed_messages(true)) {
-        const std::string time = pack_four_bytes(std::uint32_t(m.time_ns / kSecond_ns)) +
-                                 pack_four_bytes(std::uint32_t(m.time_ns % kSecond_ns));
-        records += make_ros1_record(
-            {{"op", "\x02"}, {"conn", pack_four_bytes(std::uint32_t(m.topic))}, {"time", time}}, m.bytes);
+        const std::string time =
+            pack(std::uint32_t(m.time_ns / kSecond_ns), std::uint32_t(m.time_ns % kSecond_ns));
+        records += make_ros1_record({{"op", "\x02"}, {"conn", pack(std::uint32_t(m.topic))}, {"time", time}},
+                                    m.bytes);
     }
     const std::string magic = "#ROSBAG V2.0\n";
-    return {magic + records,
-            magic + make_ros1_record({{"op", "\x05"},
-                                      {"compression", "none"},
-                                      {"size", pack_four_bytes(std::uint32_t(records.size()))}},
-                                     records)};
+    return {magic + records, magic + make_ros1_record({{"op", "\x05"},
+                                                       {"compression", "none"},
+                                                       {"size", pack(std::uint32_t(records.size()))}},
+                                                      records)};
 }
 
 std::vector<std::string> make_db3_seeds(const fs::path& folder) {
@@ -273,36 +245,16 @@ void read_db3(std::string_view input, const fs::path& folder) { read_bag(input, 
 std::vector<std::string> make_message_seeds(const fs::path&) {
     std::string livox = Draft(false)
                             .add_header(kStart_ns, "l")
-                            .add(std::uint64_t(0))
-                            .add(std::uint32_t(1))
-                            .add(std::uint32_t(0))
-                            .add(std::uint32_t(1))
-                            .add(std::uint32_t(5))
-                            .add(1.0f)
-                            .add(2.0f)
-                            .add(3.0f)
-                            .add(std::uint8_t(1))
-                            .add(std::uint8_t(1))
-                            .add(std::uint8_t(1))
+                            .add(std::uint64_t(0), 1u, 0u, 1u, 5u, 1.0f, 2.0f, 3.0f, '\1', '\1', '\1')
                             .take();
     Draft detections(false), objects(false);
-    detections.add_header(kStart_ns, "map")
-        .add(std::uint32_t(1))
-        .add_header(kStart_ns, "map")
-        .add(std::uint32_t(0));
-    for (const double v : {1.0, 2.0, 3.0, 0.0, 0.0, 0.0, 1.0, 4.0, 2.0, 1.5}) detections.add(v);
-    detections.add_text("7");
-    objects.add_header(kStart_ns, "map").add(std::uint32_t(1));
+    detections.add_header(kStart_ns, "map").add(1u).add_header(kStart_ns, "map").add(0u);
+    detections.add(1.0, 2.0, 3.0, 0.0, 0.0, 0.0, 1.0, 4.0, 2.0, 1.5).add_text("7");
+    objects.add_header(kStart_ns, "map").add(1u);
     for (int i = 0; i < 16; ++i) objects.add(std::uint8_t(i));
-    objects.add(1.0f).add(std::uint32_t(1)).add(std::uint8_t(1)).add(1.0f);
+    objects.add(1.0f, 1u, '\1', 1.0f);
     for (int i = 0; i < 7 + 36 + 2 * 42; ++i) objects.add(i == 6 ? 1.0 : 0.0);
-    objects.add(std::uint8_t(2))
-        .add(std::uint8_t(0))
-        .add(std::uint8_t(0))
-        .add(std::uint32_t(0))
-        .add(4.0)
-        .add(2.0)
-        .add(1.5);
+    objects.add('\2', '\0', '\0', 0u, 4.0, 2.0, 1.5);
     return {std::string(1, '\0') + cloud(false, kStart_ns),
             '\1' + cloud(true, kStart_ns),
             '\2' + transform(false, kStart_ns, 1.0),
@@ -396,17 +348,14 @@ std::vector<std::string> make_ouster_seeds(const fs::path&) {
                               : "{" + beams + ", \"data_format\": " + layout + R"(, "lidar_mode": "4x10"})");
         for (int column = 0; column < 24; ++column) {
             if (!is_legacy && column % 2 == 0) {
-                append_binary_value(seed, std::uint32_t(1));
-                seed.append(28, '\0');
+                seed += pack(1u) + std::string(28, '\0');
             }
-            append_binary_value(seed, std::uint64_t(column) * 25000000);
-            append_binary_value(seed, std::uint16_t(column % 4));
+            seed += pack(std::uint64_t(column) * 25000000, std::uint16_t(column % 4));
             seed.append(is_legacy ? 6 : 2, '\1');
             for (int pixel = 0; pixel < 2; ++pixel) {
-                append_binary_value(seed, std::uint32_t(0x05000400));
-                seed.append(profile.pixel_bytes - 4, '\2');
+                seed += pack(0x05000400u) + std::string(profile.pixel_bytes - 4, '\2');
             }
-            if (is_legacy) append_binary_value(seed, std::uint32_t(0xFFFFFFFF));
+            if (is_legacy) seed += pack(0xFFFFFFFFu);
             if (!is_legacy && column % 2 == 1) seed.append(32, '\0');
         }
         seeds.push_back(seed);
@@ -453,8 +402,7 @@ std::vector<std::string> make_block_seeds(const fs::path&) {
     };
     std::vector<std::string> seeds;
     for (const BlockPacket& packet : kPackets) {
-        std::string seed;
-        append_binary_value(seed, std::uint16_t(packet.bytes));
+        std::string seed = pack(std::uint16_t(packet.bytes));
         for (int k = 0; k < 8; ++k)
             seed.append(packet.head).append(packet.bytes - packet.head.size(), char(k));
         seeds.push_back(seed);
@@ -467,19 +415,14 @@ std::vector<std::string> pcap_seeds(const fs::path&) {
     constexpr std::size_t kPacket = 1206, kHeads = 14 + 20 + 8;  // Ethernet, IPv4 and UDP
     std::string capture("\xd4\xc3\xb2\xa1\2\0\4\0\0\0\0\0\0\0\0\0\xff\xff\0\0\1\0\0\0", 24);
     for (int k = 0; k < 8; ++k) {
-        append_binary_value(capture, std::uint32_t(0));
-        append_binary_value(capture, std::uint32_t(50000 * k));
-        append_binary_value(capture, std::uint32_t(kHeads + kPacket));
-        append_binary_value(capture, std::uint32_t(kHeads + kPacket));
+        const auto time_us = std::uint32_t(50000 * k), size = std::uint32_t(kHeads + kPacket);
+        capture += pack(0u, time_us, size, size);
         capture.append(12, '\1').append("\x08\0\x45\0\x04\xd2\0\0\0\0\x40\x11\0\0", 14);
         capture.append("\xc0\xa8\1\xc9\xff\xff\xff\xff\x09\x40\x09\x40\x04\xbe\0\0", 16);
         for (int block = 0; block < 12; ++block) {
-            capture += "\xff\xee";
-            append_binary_value(capture, std::uint16_t(4500 * k + 370 * block));
-            capture.append(96, '\x10');
+            capture += "\xff\xee" + pack(std::uint16_t(4500 * k + 370 * block)) + std::string(96, '\x10');
         }
-        append_binary_value(capture, std::uint32_t(50000 * k));
-        capture += "\x37\x22";
+        capture += pack(time_us) + "\x37\x22";
     }
     return {capture};
 }
@@ -498,8 +441,7 @@ void read_blocks(std::string_view input, const fs::path&) {
     while (reader.count_remaining_bytes() >= bytes && views.size() < kMostPackets) {
         const std::int64_t stamp_ns = std::int64_t(views.size()) * 50000000;
         views.push_back({stamp_ns, reader.read_bytes(bytes)});
-        append_binary_value(run, stamp_ns);
-        run += sized(views.back().bytes);
+        run += pack(stamp_ns) + sized(views.back().bytes);
     }
     packets::make_livox_cloud_message(run, "livox");
     packets::PacketIndex log;
