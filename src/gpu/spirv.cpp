@@ -9,13 +9,6 @@
 
 namespace relidar::gpu {
 
-namespace {
-
-constexpr std::uint32_t kOpMemberDecorate = 72, kOffset = 35, kNonWritable = 24;
-constexpr std::uint32_t kOpExtension = 10, kOpEntryPoint = 15, kOpExecutionMode = 16, kOpCapability = 17;
-
-}  // namespace
-
 std::vector<std::uint32_t> add_execution_mode_to_spirv(std::span<const std::uint32_t> spirv_words,
                                                        const ExecutionMode& execution_mode) {
     // The name of the extension ends with a zero byte, which may need another word.
@@ -32,7 +25,7 @@ std::vector<std::uint32_t> add_execution_mode_to_spirv(std::span<const std::uint
             extended = true;
         }
         if (opcode == kOpEntryPoint) {
-            modes.insert(modes.end(), {3u << 16 | kOpExecutionMode, instruction[2], execution_mode.mode});
+            append_spirv_instruction(modes, kOpExecutionMode, {instruction[2], execution_mode.mode});
         } else {  // Inserts the execution mode after the last entry point, as SPIR-V requires.
             append_spirv_instruction(result, modes);
             modes.clear();
@@ -44,16 +37,12 @@ std::vector<std::uint32_t> add_execution_mode_to_spirv(std::span<const std::uint
 
 std::vector<std::uint32_t> mark_parameter_block_read_only(std::span<const std::uint32_t> spirv_words) {
     std::vector<std::uint32_t> result(spirv_words.begin(), spirv_words.begin() + kHeaderWords);
-    // Id of the type of the parameter block. SPIR-V lists names before decorations, so
-    // the id is known when the decorations are read.
-    std::uint32_t block = 0;
+    std::uint32_t block = 0;  // Id of the type of the parameter block.
     for_each_spirv_instruction(spirv_words, [&](std::uint32_t opcode, SpirvInstruction instruction) {
-        if (opcode == kOpName &&
-            std::strcmp(get_name_of_op_name_instruction(instruction), "ParamsBlock") == 0)
-            block = instruction[1];
+        if (is_parameter_block_name(opcode, instruction)) block = instruction[1];
         append_spirv_instruction(result, instruction);
         if (opcode == kOpMemberDecorate && instruction[1] == block && instruction[3] == kOffset)
-            result.insert(result.end(), {4u << 16 | kOpMemberDecorate, block, instruction[2], kNonWritable});
+            append_spirv_instruction(result, kOpMemberDecorate, {block, instruction[2], kNonWritable});
     });
     return result;
 }

@@ -2,7 +2,6 @@
 // Finds the device addresses in the parameter block of a kernel, using the types in the
 // SPIR-V module.
 #include <map>
-#include <string>
 
 #include "gpu/spirv.hpp"
 #include "gpu/spirv_words.hpp"
@@ -30,10 +29,10 @@ public:
         if (type_entry == types_.end()) return;
         const SpirvInstruction t = type_entry->second;
         switch (t[0] & 0xffffu) {
-            case type_pointer:
+            case kOpTypePointer:
                 pointer_offsets.push_back(value_offset_bytes);
                 break;
-            case type_array:
+            case kOpTypeArray:
                 for (std::uint32_t k = 0; k < constants_.at(t[3]); ++k)
                     append_pointer_member_offsets(t[2], value_offset_bytes + k * strides_.at(type_id),
                                                   pointer_offsets);
@@ -46,17 +45,6 @@ public:
     }
 
 private:
-    enum SpirvAddressNumber : std::uint32_t {
-        // SPIR-V opcodes, except the last two values, which are decorations.
-        type_array = 28,
-        type_struct = 30,
-        type_pointer = 32,
-        constant = 43,
-        member_decorate = 72,
-        array_stride = 6,
-        member_offset = 35  // Decoration, not an opcode.
-    };
-
     std::uint32_t block_ = 0;
     std::map<std::uint32_t, SpirvInstruction> types_;  ///< Pointer, array and struct types.
     std::map<std::uint32_t, std::uint32_t> constants_, strides_;
@@ -65,14 +53,13 @@ private:
     std::map<std::pair<std::uint32_t, std::uint32_t>, std::uint32_t> offsets_;
 
     void store_type_information(std::uint32_t opcode, SpirvInstruction instruction) {
-        if (opcode == kOpName && get_name_of_op_name_instruction(instruction) == std::string("ParamsBlock"))
-            block_ = instruction[1];
-        if (opcode == type_pointer || opcode == type_array || opcode == type_struct)
+        if (is_parameter_block_name(opcode, instruction)) block_ = instruction[1];
+        if (opcode == kOpTypePointer || opcode == kOpTypeArray || opcode == kOpTypeStruct)
             types_[instruction[1]] = instruction;
-        if (opcode == constant) constants_[instruction[2]] = instruction[3];
-        if (opcode == kOpDecorate && instruction[2] == array_stride)
+        if (opcode == kOpConstant) constants_[instruction[2]] = instruction[3];
+        if (opcode == kOpDecorate && instruction[2] == kArrayStride)
             strides_[instruction[1]] = instruction[3];
-        if (opcode == member_decorate && instruction[3] == member_offset)
+        if (opcode == kOpMemberDecorate && instruction[3] == kOffset)
             offsets_[{instruction[1], instruction[2]}] = instruction[4];
     }
 };

@@ -14,14 +14,6 @@ namespace relidar::gpu {
 
 namespace {
 
-constexpr std::uint32_t kOpTypeBool = 20, kOpTypeInt = 21, kOpConstantTrue = 41, kOpConstantFalse = 42,
-                        kOpConstant = 43;
-constexpr std::uint32_t kOpSpecConstant = 50, kOpSpecConstantOp = 52;
-constexpr std::uint32_t kOpLogicalOr = 166, kOpLogicalAnd = 167, kOpLogicalNot = 168, kOpIEqual = 170,
-                        kOpINotEqual = 171;
-constexpr std::uint32_t kOpPhi = 245, kOpLoopMerge = 246, kOpSelectionMerge = 247, kOpLabel = 248,
-                        kOpBranch = 249, kOpBranchConditional = 250, kOpSwitch = 251;
-
 /// Integers and booleans (0 or 1) of a SPIR-V module that depend only on specialisation
 /// constants.
 class SpirvConstantValues {
@@ -197,7 +189,7 @@ std::vector<std::uint32_t> remove_constant_branches(
             condition = values.find_constant_value(instruction[1]);
         if (condition &&
             blocks.can_remove_branch_to_successor(block, instruction[*condition != 0 ? 3 : 2], merge[1])) {
-            result.insert(result.end(), {2u << 16 | kOpBranch, instruction[*condition != 0 ? 2 : 3]});
+            append_spirv_instruction(result, kOpBranch, {instruction[*condition != 0 ? 2 : 3]});
         } else {
             append_spirv_instruction(result, merge);
             append_spirv_instruction(result, instruction);

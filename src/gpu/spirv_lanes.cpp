@@ -7,7 +7,6 @@
 // The second line replaces `%index` with the sum. The result of the first line is zero
 // because `nothing` is a multiple of 256 (shaders/base/kernel.glsl).
 #include <set>
-#include <string>
 
 #include "gpu/spirv.hpp"
 #include "gpu/spirv_words.hpp"
@@ -39,30 +38,6 @@ public:
     }
 
 private:
-    enum SpirvEnumerant : std::uint32_t {
-        entry_point = 15,
-        type_int = 21,
-        type_pointer = 32,
-        constant = 43,
-        function = 54,
-        variable = 59,
-        load = 61,
-        store = 62,
-        access_chain = 65,
-        decorate = 71,
-        iadd = 128,
-        bitwise_and = 199,
-        label = 248,
-        line = 8,
-        no_line = 317,
-        input = 1,
-        in_private = 6,
-        push_constant = 9,
-        physical_storage = 5349,  // Storage class, like the three values before it.
-        built_in = 11,
-        local_invocation_index = 29  // Value of the decoration `built_in`.
-    };
-
     std::span<const std::uint32_t> words_;
     std::vector<std::uint32_t> result_;
     std::uint32_t next_, uint_ = 0, entry_ = 0, push_ = 0, lane_ = 0, block_ = 0, block_pointer_ = 0;
@@ -74,79 +49,75 @@ private:
     bool is_new_lane_ = false, decorated_ = false, declared_ = false, in_entry_ = false, filled_ = false;
 
     void collect_ids_from_instruction(std::uint32_t opcode, SpirvInstruction instruction) {
-        if (opcode == kOpName && get_name_of_op_name_instruction(instruction) == std::string("ParamsBlock"))
-            block_ = instruction[1];
-        if (opcode == entry_point) entry_ = instruction[2];
-        if (opcode == type_int && instruction[2] == 32 && instruction[3] == 0) uint_ = instruction[1];
-        if (opcode == type_pointer && instruction[2] == physical_storage)
+        if (is_parameter_block_name(opcode, instruction)) block_ = instruction[1];
+        if (opcode == kOpEntryPoint) entry_ = instruction[2];
+        if (opcode == kOpTypeInt && instruction[2] == 32 && instruction[3] == 0) uint_ = instruction[1];
+        if (opcode == kOpTypePointer && instruction[2] == kPhysicalStorage)
             storage_pointers_.insert(instruction[1]);
-        if (opcode == type_pointer && instruction[2] == physical_storage && instruction[3] == block_)
+        if (opcode == kOpTypePointer && instruction[2] == kPhysicalStorage && instruction[3] == block_)
             block_pointer_ = instruction[1];
-        if (opcode == variable && instruction[3] == push_constant) push_ = instruction[2];
-        if (opcode == decorate && instruction[2] == built_in && instruction[3] == local_invocation_index)
+        if (opcode == kOpVariable && instruction[3] == kPushConstant) push_ = instruction[2];
+        if (opcode == kOpDecorate && instruction[2] == kBuiltIn && instruction[3] == kLocalInvocationIndex)
             lane_ = instruction[1];
-        if (opcode == load && instruction[1] == block_pointer_) parameters_.insert(instruction[2]);
+        if (opcode == kOpLoad && instruction[1] == block_pointer_) parameters_.insert(instruction[2]);
     }
 
-    void emit_instruction(SpirvEnumerant opcode, std::initializer_list<std::uint32_t> operands) {
-        result_.push_back(std::uint32_t(operands.size() + 1) << 16 | opcode);
-        result_.insert(result_.end(), operands);
+    void emit_instruction(std::uint32_t opcode, std::initializer_list<std::uint32_t> operands) {
+        append_spirv_instruction(result_, opcode, operands);
     }
 
     void emit_types_and_variables() {
-        emit_instruction(type_pointer, {input_pointer_, input, uint_});
-        emit_instruction(type_pointer, {private_pointer_, in_private, uint_});
-        emit_instruction(type_pointer, {push_pointer_, push_constant, uint_});
-        emit_instruction(constant, {uint_, constant_0_, 0});
-        emit_instruction(constant, {uint_, constant_1_, 1});
-        emit_instruction(constant, {uint_, constant_255_, 255});
-        emit_instruction(variable, {private_pointer_, zero_, in_private});
-        if (is_new_lane_) emit_instruction(variable, {input_pointer_, lane_, input});
+        emit_instruction(kOpTypePointer, {input_pointer_, kInput, uint_});
+        emit_instruction(kOpTypePointer, {private_pointer_, kPrivate, uint_});
+        emit_instruction(kOpTypePointer, {push_pointer_, kPushConstant, uint_});
+        emit_instruction(kOpConstant, {uint_, constant_0_, 0});
+        emit_instruction(kOpConstant, {uint_, constant_1_, 1});
+        emit_instruction(kOpConstant, {uint_, constant_255_, 255});
+        emit_instruction(kOpVariable, {private_pointer_, zero_, kPrivate});
+        if (is_new_lane_) emit_instruction(kOpVariable, {input_pointer_, lane_, kInput});
     }
 
     void emit_nonuniform_zero_computation() {
         const std::uint32_t member_pointer = next_, nothing = next_ + 1, low = next_ + 2, lane = next_ + 3,
                             value = next_ + 4;
         next_ += 5;
-        emit_instruction(access_chain, {push_pointer_, member_pointer, push_, constant_1_, constant_0_});
-        emit_instruction(load, {uint_, nothing, member_pointer});
-        emit_instruction(bitwise_and, {uint_, low, nothing, constant_255_});
-        emit_instruction(load, {uint_, lane, lane_});
-        emit_instruction(bitwise_and, {uint_, value, lane, low});
-        emit_instruction(store, {zero_, value});
+        emit_instruction(kOpAccessChain, {push_pointer_, member_pointer, push_, constant_1_, constant_0_});
+        emit_instruction(kOpLoad, {uint_, nothing, member_pointer});
+        emit_instruction(kOpBitwiseAnd, {uint_, low, nothing, constant_255_});
+        emit_instruction(kOpLoad, {uint_, lane, lane_});
+        emit_instruction(kOpBitwiseAnd, {uint_, value, lane, low});
+        emit_instruction(kOpStore, {zero_, value});
     }
 
     void emit_edited_instruction(std::uint32_t opcode, SpirvInstruction instruction) {
-        if (opcode == decorate && !decorated_) {
-            if (is_new_lane_) emit_instruction(decorate, {lane_, built_in, local_invocation_index});
+        if (opcode == kOpDecorate && !decorated_) {
+            if (is_new_lane_) emit_instruction(kOpDecorate, {lane_, kBuiltIn, kLocalInvocationIndex});
             decorated_ = true;
         }
-        if (opcode == function && !declared_) {
+        if (opcode == kOpFunction && !declared_) {
             emit_types_and_variables();
             declared_ = true;
         }
-        in_entry_ = in_entry_ || (opcode == function && instruction[2] == entry_);
-        const bool begins = opcode == function || opcode == label || opcode == variable || opcode == line ||
-                            opcode == no_line;
-        if (in_entry_ && !filled_ && !begins) {
+        in_entry_ = in_entry_ || (opcode == kOpFunction && instruction[2] == entry_);
+        if (in_entry_ && !filled_ && !is_function_head(opcode)) {
             emit_nonuniform_zero_computation();
             filled_ = true;
         }
         const std::size_t at = result_.size();
-        if (opcode == access_chain && instruction.size() >= 6 && storage_pointers_.contains(instruction[1]) &&
-            !parameters_.contains(instruction[3])) {
+        if (opcode == kOpAccessChain && instruction.size() >= 6 &&
+            storage_pointers_.contains(instruction[1]) && !parameters_.contains(instruction[3])) {
             const std::uint32_t zero = next_++, index = next_++;
-            emit_instruction(load, {uint_, zero, zero_});
-            emit_instruction(iadd, {uint_, index, instruction[5], zero});
+            emit_instruction(kOpLoad, {uint_, zero, zero_});
+            emit_instruction(kOpIAdd, {uint_, index, instruction[5], zero});
             append_spirv_instruction(result_, instruction);
             result_[result_.size() - instruction.size() + 5] = index;
             return;
         }
         append_spirv_instruction(result_, instruction);
-        if (opcode != entry_point) return;
+        if (opcode != kOpEntryPoint) return;
         result_.push_back(zero_);
         if (is_new_lane_) result_.push_back(lane_);
-        result_[at] = std::uint32_t(result_.size() - at) << 16 | entry_point;
+        result_[at] = std::uint32_t(result_.size() - at) << 16 | kOpEntryPoint;
     }
 };
 

@@ -10,7 +10,6 @@
 #include <map>
 #include <optional>
 #include <set>
-#include <string>
 
 #include "gpu/spirv.hpp"
 #include "gpu/spirv_words.hpp"
@@ -19,36 +18,9 @@ namespace relidar::gpu {
 
 namespace {
 
-enum SpirvOp : std::uint32_t {
-    kEntryPoint = 15,
-    kTypeInt = 21,
-    kTypeFloat = 22,
-    kTypeVector = 23,
-    kTypeStruct = 30,
-    kTypePointer = 32,
-    kConstant = 43,
-    kFunction = 54,
-    kVariable = 59,
-    kLoad = 61,
-    kStore = 62,
-    kAccessChain = 65,
-    kDecorate = 71,
-    kCompositeConstruct = 80,
-    kLabel = 248,
-    kLine = 8,
-    kNoLine = 317
-};
-constexpr std::uint32_t kPrivate = 6, kPhysicalStorage = 5349, kAliasedPointer = 5356, kAligned = 2;
-
 using SpirvWords = std::vector<std::uint32_t>;
 // Position of a value in the parameter block, as member indices of nested structs.
 using MemberPath = std::vector<std::uint32_t>;
-
-SpirvWords make_spirv_instruction(SpirvOp opcode, std::initializer_list<std::uint32_t> operands) {
-    SpirvWords words{std::uint32_t(operands.size() + 1) << 16 | opcode};
-    words.insert(words.end(), operands);
-    return words;
-}
 
 struct SpirvModule {
     std::uint32_t bound = 0, block = 0, block_pointer = 0, int_type = 0;
@@ -72,19 +44,18 @@ private:
     std::map<std::uint32_t, SpirvWords> chains_;
 
     void collect_declarations_from_instruction(std::uint32_t opcode, SpirvInstruction instruction) {
-        if (opcode == kOpName && get_name_of_op_name_instruction(instruction) == std::string("ParamsBlock"))
-            block = instruction[1];
-        if (opcode == kEntryPoint) entry = instruction[2];
+        if (is_parameter_block_name(opcode, instruction)) block = instruction[1];
+        if (opcode == kOpEntryPoint) entry = instruction[2];
         if (opcode >= 19 && opcode <= 39)
             types[instruction[1]] = SpirvWords(instruction.begin(), instruction.end());
-        if (opcode == kTypePointer && instruction[2] == kPhysicalStorage && instruction[3] == block)
+        if (opcode == kOpTypePointer && instruction[2] == kPhysicalStorage && instruction[3] == block)
             block_pointer = instruction[1];
-        if (opcode == kTypeInt && instruction[2] == 32 && !int_type) int_type = instruction[1];
-        if (opcode == kConstant && instruction.size() == 4 && types.contains(instruction[1]) &&
-            (types.at(instruction[1])[0] & 0xffffu) == kTypeInt)
+        if (opcode == kOpTypeInt && instruction[2] == 32 && !int_type) int_type = instruction[1];
+        if (opcode == kOpConstant && instruction.size() == 4 && types.contains(instruction[1]) &&
+            (types.at(instruction[1])[0] & 0xffffu) == kOpTypeInt)
             constants[instruction[2]] = instruction[3];
-        if (opcode == kAccessChain) store_parameter_path_or_access_chain(instruction);
-        if (opcode == kLoad && instruction[1] == block_pointer && block_pointer) {
+        if (opcode == kOpAccessChain) store_parameter_path_or_access_chain(instruction);
+        if (opcode == kOpLoad && instruction[1] == block_pointer && block_pointer) {
             addresses.insert(instruction[2]);
             push_chain = chains_[instruction[3]];
         }
@@ -112,7 +83,7 @@ public:
     /// A number, a vector, an address or a struct of these.
     bool is_type_allowed_in_private_variable(std::uint32_t type_id) const {
         const SpirvWords& t = module_.types.at(type_id);
-        if ((t[0] & 0xffffu) != kTypeStruct) return get_nonstruct_alignment_bytes(type_id).has_value();
+        if ((t[0] & 0xffffu) != kOpTypeStruct) return get_nonstruct_alignment_bytes(type_id).has_value();
         for (std::size_t k = 2; k < t.size(); ++k)
             if (!is_type_allowed_in_private_variable(t[k])) return false;
         return true;
@@ -122,14 +93,13 @@ public:
     void append_load_from_private_variable(SpirvWords& instructions, std::uint32_t type_id,
                                            const MemberPath& member_path, std::uint32_t result_id) {
         const SpirvWords& t = module_.types.at(type_id);
-        if ((t[0] & 0xffffu) != kTypeStruct) {
+        if ((t[0] & 0xffffu) != kOpTypeStruct) {
             append_spirv_instruction(
-                instructions,
-                make_spirv_instruction(
-                    kLoad, {type_id, result_id, get_or_declare_private_variable(type_id, member_path)}));
+                instructions, kOpLoad,
+                {type_id, result_id, get_or_declare_private_variable(type_id, member_path)});
             return;
         }
-        SpirvWords construct{std::uint32_t(t.size() + 1) << 16 | kCompositeConstruct, type_id, result_id};
+        SpirvWords construct{std::uint32_t(t.size() + 1) << 16 | kOpCompositeConstruct, type_id, result_id};
         for (std::size_t k = 2; k < t.size(); ++k) {
             MemberPath member = member_path;
             member.push_back(std::uint32_t(k - 2));
@@ -148,15 +118,15 @@ public:
         SpirvWords result(spirv_words.begin(), spirv_words.begin() + kHeaderWords);
         bool functions = false, decorated = false;
         for_each_spirv_instruction(spirv_words, [&](std::uint32_t opcode, SpirvInstruction instruction) {
-            if (opcode == kFunction && !functions) append_spirv_instruction(result, globals_);
-            functions = functions || opcode == kFunction;
+            if (opcode == kOpFunction && !functions) append_spirv_instruction(result, globals_);
+            functions = functions || opcode == kOpFunction;
             if (functions) return;
-            if (opcode == kDecorate && !decorated) append_spirv_instruction(result, decorations_);
-            decorated = decorated || opcode == kDecorate;
+            if (opcode == kOpDecorate && !decorated) append_spirv_instruction(result, decorations_);
+            decorated = decorated || opcode == kOpDecorate;
             SpirvWords words(instruction.begin(), instruction.end());
-            if (opcode == kEntryPoint) {
+            if (opcode == kOpEntryPoint) {
                 for (const auto& [path, v] : variables_) words.push_back(v.id);
-                words[0] = std::uint32_t(words.size()) << 16 | kEntryPoint;
+                words[0] = std::uint32_t(words.size()) << 16 | kOpEntryPoint;
             }
             append_spirv_instruction(result, words);
         });
@@ -179,12 +149,12 @@ private:
     std::optional<std::uint32_t> get_nonstruct_alignment_bytes(std::uint32_t type_id) const {
         const SpirvWords& t = module_.types.at(type_id);
         switch (t[0] & 0xffffu) {
-            case kTypeInt:
-            case kTypeFloat:
+            case kOpTypeInt:
+            case kOpTypeFloat:
                 return t[2] / 8;
-            case kTypeVector:
+            case kOpTypeVector:
                 return get_nonstruct_alignment_bytes(t[2]);
-            case kTypePointer:
+            case kOpTypePointer:
                 return t[2] == kPhysicalStorage ? std::optional(8u) : std::nullopt;
             default:
                 return std::nullopt;
@@ -194,18 +164,14 @@ private:
         std::map<std::uint32_t, std::uint32_t>& pointer_type_by_target_type, std::uint32_t storage_class,
         std::uint32_t type_id) {
         const auto [at, is_new] = pointer_type_by_target_type.try_emplace(type_id, next_);
-        if (is_new)
-            append_spirv_instruction(globals_,
-                                     make_spirv_instruction(kTypePointer, {next_++, storage_class, type_id}));
+        if (is_new) append_spirv_instruction(globals_, kOpTypePointer, {next_++, storage_class, type_id});
         return at->second;
     }
     std::uint32_t get_or_declare_int_constant(std::uint32_t value) {
         for (const auto& [id, known] : module_.constants)
             if (known == value) return id;
         const auto [at, is_new] = index_.try_emplace(value, next_);
-        if (is_new)
-            append_spirv_instruction(globals_,
-                                     make_spirv_instruction(kConstant, {module_.int_type, next_++, value}));
+        if (is_new) append_spirv_instruction(globals_, kOpConstant, {module_.int_type, next_++, value});
         return at->second;
     }
     std::uint32_t get_or_declare_private_variable(std::uint32_t type_id, const MemberPath& member_path) {
@@ -214,9 +180,9 @@ private:
             return existing_variable->second.id;
         const std::uint32_t pointer_type = get_or_declare_pointer_type(private_pointer_, kPrivate, type_id),
                             id = next_++;
-        append_spirv_instruction(globals_, make_spirv_instruction(kVariable, {pointer_type, id, kPrivate}));
-        if ((module_.types.at(type_id)[0] & 0xffffu) == kTypePointer)
-            append_spirv_instruction(decorations_, make_spirv_instruction(kDecorate, {id, kAliasedPointer}));
+        append_spirv_instruction(globals_, kOpVariable, {pointer_type, id, kPrivate});
+        if ((module_.types.at(type_id)[0] & 0xffffu) == kOpTypePointer)
+            append_spirv_instruction(decorations_, kOpDecorate, {id, kAliasedPointer});
         variables_[member_path] = {id, type_id};
         return id;
     }
@@ -225,8 +191,7 @@ private:
         const std::uint32_t block = next_ + 1;
         chain[2] = next_;
         append_spirv_instruction(code, chain);
-        append_spirv_instruction(code,
-                                 make_spirv_instruction(kLoad, {module_.block_pointer, block, chain[2]}));
+        append_spirv_instruction(code, kOpLoad, {module_.block_pointer, block, chain[2]});
         next_ += 2;
         for (const auto& [path, v] : variables_) {
             const std::uint32_t to_storage =
@@ -234,15 +199,14 @@ private:
             // Reserves these ids first, because get_or_declare_int_constant() also
             // creates ids.
             const std::uint32_t at = next_++, value = next_++;
-            SpirvWords access_chain{std::uint32_t(path.size() + 4) << 16 | kAccessChain, to_storage, at,
+            SpirvWords access_chain{std::uint32_t(path.size() + 4) << 16 | kOpAccessChain, to_storage, at,
                                     block};
             for (const std::uint32_t member : path)
                 access_chain.push_back(get_or_declare_int_constant(member));
             append_spirv_instruction(code, access_chain);
-            append_spirv_instruction(
-                code, make_spirv_instruction(
-                          kLoad, {v.type, value, at, kAligned, *get_nonstruct_alignment_bytes(v.type)}));
-            append_spirv_instruction(code, make_spirv_instruction(kStore, {v.id, value}));
+            append_spirv_instruction(code, kOpLoad,
+                                     {v.type, value, at, kAligned, *get_nonstruct_alignment_bytes(v.type)});
+            append_spirv_instruction(code, kOpStore, {v.id, value});
         }
         return code;
     }
@@ -252,9 +216,8 @@ private:
         bool in_entry = false, filled = false;
         for (std::size_t at = 0; at < function_code.size(); at += function_code[at] >> 16) {
             const std::uint32_t op = function_code[at] & 0xffffu;
-            in_entry = in_entry || (op == kFunction && function_code[at + 2] == module_.entry);
-            if (in_entry && !filled && op != kFunction && op != kLabel && op != kVariable && op != kLine &&
-                op != kNoLine) {
+            in_entry = in_entry || (op == kOpFunction && function_code[at + 2] == module_.entry);
+            if (in_entry && !filled && !is_function_head(op)) {
                 append_spirv_instruction(module_words, prologue_instructions);
                 filled = true;
             }
@@ -272,10 +235,10 @@ std::vector<std::uint32_t> hoist_parameter_loads(std::span<const std::uint32_t> 
     SpirvWords code;
     bool functions = false, any = false;
     for_each_spirv_instruction(spirv_words, [&](std::uint32_t opcode, SpirvInstruction instruction) {
-        functions = functions || opcode == kFunction;
+        functions = functions || opcode == kOpFunction;
         if (!functions) return;
         const auto path_entry =
-            opcode == kLoad ? module.parameter_paths.find(instruction[3]) : module.parameter_paths.end();
+            opcode == kOpLoad ? module.parameter_paths.find(instruction[3]) : module.parameter_paths.end();
         if (path_entry == module.parameter_paths.end() ||
             !result.is_type_allowed_in_private_variable(instruction[1]))
             return append_spirv_instruction(code, instruction);

@@ -5,13 +5,33 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <initializer_list>
 #include <span>
+#include <string_view>
 #include <vector>
 
 namespace relidar::gpu {
 
 inline constexpr std::size_t kHeaderWords = 5;
-inline constexpr std::uint32_t kOpName = 5, kOpDecorate = 71, kSpecId = 1;
+// Opcodes.
+inline constexpr std::uint32_t kOpName = 5, kOpLine = 8, kOpExtension = 10, kOpEntryPoint = 15,
+                               kOpExecutionMode = 16, kOpCapability = 17, kOpTypeBool = 20, kOpTypeInt = 21,
+                               kOpTypeFloat = 22, kOpTypeVector = 23, kOpTypeArray = 28, kOpTypeStruct = 30,
+                               kOpTypePointer = 32, kOpConstantTrue = 41, kOpConstantFalse = 42,
+                               kOpConstant = 43, kOpSpecConstant = 50, kOpSpecConstantOp = 52,
+                               kOpFunction = 54, kOpVariable = 59, kOpLoad = 61, kOpStore = 62,
+                               kOpAccessChain = 65, kOpDecorate = 71, kOpMemberDecorate = 72,
+                               kOpCompositeConstruct = 80, kOpIAdd = 128, kOpLogicalOr = 166,
+                               kOpLogicalAnd = 167, kOpLogicalNot = 168, kOpIEqual = 170, kOpINotEqual = 171,
+                               kOpBitwiseAnd = 199, kOpPhi = 245, kOpLoopMerge = 246, kOpSelectionMerge = 247,
+                               kOpLabel = 248, kOpBranch = 249, kOpBranchConditional = 250, kOpSwitch = 251,
+                               kOpNoLine = 317;
+// Decorations, a value of the decoration kBuiltIn, storage classes, and a memory operand.
+inline constexpr std::uint32_t kSpecId = 1, kArrayStride = 6, kBuiltIn = 11, kNonWritable = 24, kOffset = 35,
+                               kAliasedPointer = 5356;
+inline constexpr std::uint32_t kLocalInvocationIndex = 29;
+inline constexpr std::uint32_t kInput = 1, kPrivate = 6, kPushConstant = 9, kPhysicalStorage = 5349;
+inline constexpr std::uint32_t kAligned = 2;
 
 using SpirvInstruction = std::span<const std::uint32_t>;
 
@@ -25,8 +45,23 @@ inline void append_spirv_instruction(std::vector<std::uint32_t>& spirv_words, Sp
     spirv_words.insert(spirv_words.end(), instruction.begin(), instruction.end());
 }
 
-inline const char* get_name_of_op_name_instruction(SpirvInstruction op_name_instruction) {
-    return reinterpret_cast<const char*>(&op_name_instruction[2]);
+inline void append_spirv_instruction(std::vector<std::uint32_t>& spirv_words, std::uint32_t opcode,
+                                     std::initializer_list<std::uint32_t> operands) {
+    spirv_words.push_back(std::uint32_t(operands.size() + 1) << 16 | opcode);
+    spirv_words.insert(spirv_words.end(), operands);
+}
+
+/// Returns true for the name of the type of a kernel's parameters (RELIDAR_PARAMS). SPIR-V
+/// lists names before decorations and types.
+inline bool is_parameter_block_name(std::uint32_t opcode, SpirvInstruction instruction) {
+    return opcode == kOpName &&
+           std::string_view(reinterpret_cast<const char*>(&instruction[2])) == "ParamsBlock";
+}
+
+/// Returns true for instructions that precede the code of a function.
+inline bool is_function_head(std::uint32_t opcode) {
+    return opcode == kOpFunction || opcode == kOpLabel || opcode == kOpVariable || opcode == kOpLine ||
+           opcode == kOpNoLine;
 }
 
 }  // namespace relidar::gpu

@@ -169,10 +169,10 @@ void write_recorded_tracks(const TrainedRun& run, int lidar_index,
     for (const std::string& name : names) {
         const BoxTrack* box = find_box_track_by_id(run.sequence, name);
         if (!box)
-            throw RejectedRequest(grpc::StatusCode::NOT_FOUND,
-                                  fmt::format("cannot read actors: found {}, expected the name of an actor "
-                                              "of the log; ListScenes lists these names",
-                                              shorten_and_quote_client_text(name)));
+            refuse(grpc::StatusCode::NOT_FOUND,
+                   "cannot read actors: found {}, expected the name of an actor "
+                   "of the log; ListScenes lists these names",
+                   shorten_and_quote_client_text(name));
         v1::ActorTrack& track = *message.add_actors();
         track.set_name(name);
         write_track(in_dataset(box->world_from_box), *track.mutable_poses());

@@ -12,9 +12,8 @@ namespace relidar::serve {
 
 void throw_invalid_field(const std::string& field_name, const std::string& found_value_text,
                          const std::string& expected_value_text) {
-    throw RejectedRequest(grpc::StatusCode::INVALID_ARGUMENT,
-                          fmt::format("cannot read {}: found {}, expected {}", field_name, found_value_text,
-                                      expected_value_text));
+    refuse(grpc::StatusCode::INVALID_ARGUMENT, "cannot read {}: found {}, expected {}", field_name,
+           found_value_text, expected_value_text);
 }
 
 void throw_unknown_name(const std::string& field_name, const std::string& name,
@@ -22,9 +21,8 @@ void throw_unknown_name(const std::string& field_name, const std::string& name,
     const std::string nearest = find_most_similar_name(name.substr(0, 80), valid_names);
     const std::string expected = nearest.empty() ? "an empty field, because no names are available"
                                                  : fmt::format("an existing name such as \"{}\"", nearest);
-    throw RejectedRequest(grpc::StatusCode::NOT_FOUND,
-                          fmt::format("cannot read {}: found {}, expected {}", field_name,
-                                      shorten_and_quote_client_text(name), expected));
+    refuse(grpc::StatusCode::NOT_FOUND, "cannot read {}: found {}, expected {}", field_name,
+           shorten_and_quote_client_text(name), expected);
 }
 
 std::string shorten_and_quote_client_text(const std::string& client_text) {

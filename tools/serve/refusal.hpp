@@ -7,6 +7,7 @@
 #include <string>
 #include <vector>
 
+#include <fmt/format.h>
 #include <grpcpp/support/status.h>
 
 namespace relidar::serve {
@@ -21,6 +22,12 @@ public:
 private:
     grpc::StatusCode code_;
 };
+
+/// @throws RejectedRequest always, with the formatted text
+template <class... T>
+[[noreturn]] void refuse(grpc::StatusCode code, fmt::format_string<T...> text, T&&... values) {
+    throw RejectedRequest(code, fmt::format(text, std::forward<T>(values)...));
+}
 
 /// @throws RejectedRequest always
 [[noreturn]] void throw_invalid_field(const std::string& field_name, const std::string& found_value_text,

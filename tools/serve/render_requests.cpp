@@ -24,7 +24,7 @@ SceneSet::SceneLoadNumber use_renderer_and_get_scene_load_number(SceneSet& scene
                                                             use_renderer(renderer);
                                                         });
     } catch (const DataError& error) {
-        throw RejectedRequest(grpc::StatusCode::INTERNAL, error.what());
+        refuse(grpc::StatusCode::INTERNAL, "{}", error.what());
     }
 }
 
@@ -36,14 +36,12 @@ bool has_deadline_passed(const grpc::ServerContext& context) {
 
 RenderQueue::QueueSlot reserve_slot_or_throw(RenderQueue& queue) {
     if (queue.is_draining())
-        throw RejectedRequest(grpc::StatusCode::UNAVAILABLE,
-                              "cannot queue the request: the server is shutting down");
+        refuse(grpc::StatusCode::UNAVAILABLE, "cannot queue the request: the server is shutting down");
     std::optional<RenderQueue::QueueSlot> slot = queue.reserve_slot();
     if (!slot)
-        throw RejectedRequest(
-            grpc::StatusCode::RESOURCE_EXHAUSTED,
-            fmt::format("cannot queue the request: all {} slots of the queue are occupied; try again later",
-                        queue.get_total_slot_count()));
+        refuse(grpc::StatusCode::RESOURCE_EXHAUSTED,
+               "cannot queue the request: all {} slots of the queue are occupied; try again later",
+               queue.get_total_slot_count());
     return std::move(*slot);
 }
 
@@ -58,10 +56,9 @@ void ClientRequest::run_request_or_throw_if_cancelled(RenderQueue::QueueSlot& sl
 
 void throw_deadline_or_cancelled_error(const grpc::ServerContext& context) {
     if (has_deadline_passed(context))
-        throw RejectedRequest(grpc::StatusCode::DEADLINE_EXCEEDED,
-                              "cannot answer the request: its deadline has passed; set a later deadline");
-    throw RejectedRequest(grpc::StatusCode::CANCELLED,
-                          "cannot answer the request: the client has disconnected");
+        refuse(grpc::StatusCode::DEADLINE_EXCEEDED,
+               "cannot answer the request: its deadline has passed; set a later deadline");
+    refuse(grpc::StatusCode::CANCELLED, "cannot answer the request: the client has disconnected");
 }
 
 void ScanImageRequest::submit_to_device(bool) {

@@ -82,8 +82,7 @@ Weather parse_requested_weather(const std::string& weather_text) {
     try {
         return parse_weather(weather_text);
     } catch (const UsageError& error) {
-        throw RejectedRequest(grpc::StatusCode::INVALID_ARGUMENT,
-                              fmt::format("cannot read {}", error.what()));
+        refuse(grpc::StatusCode::INVALID_ARGUMENT, "cannot read {}", error.what());
     }
 }
 
@@ -132,9 +131,8 @@ std::pair<std::string, std::shared_ptr<const SimulatedSensor>> RequestReader::ca
     const std::string handle = uploaded_.add_sensor_and_make_handle(read_sensor(spec, "sensor"));
     const std::shared_ptr<const SimulatedSensor> sensor = uploaded_.find_cached_sensor(handle);
     if (!sensor)
-        throw RejectedRequest(
-            grpc::StatusCode::RESOURCE_EXHAUSTED,
-            "cannot upload a sensor: too many other sensors were uploaded at the same time; try again");
+        refuse(grpc::StatusCode::RESOURCE_EXHAUSTED,
+               "cannot upload a sensor: too many other sensors were uploaded at the same time; try again");
     return {handle, sensor};
 }
 
@@ -160,11 +158,10 @@ std::shared_ptr<const SimulatedSensor> RequestReader::find_requested_sensor(cons
     } else if (request.sensor.has_handle()) {
         sensor = uploaded_.find_cached_sensor(request.sensor.handle());
         if (!sensor)
-            throw RejectedRequest(
-                grpc::StatusCode::NOT_FOUND,
-                fmt::format("cannot read {}.handle: found {}, which is unknown or expired, expected a handle "
-                            "from UploadSensor; upload the sensor again",
-                            request.field, shorten_and_quote_client_text(request.sensor.handle())));
+            refuse(grpc::StatusCode::NOT_FOUND,
+                   "cannot read {}.handle: found {}, which is unknown or expired, expected a handle "
+                   "from UploadSensor; upload the sensor again",
+                   request.field, shorten_and_quote_client_text(request.sensor.handle()));
     } else {
         sensor = find_built_in_sensor(request.sensor.name(), scene_index, lidar_index);
     }
@@ -236,10 +233,9 @@ std::vector<ActorToSpawn> RequestReader::read_actors_to_spawn(const v1::SpawnAct
             throw_invalid_field(field + ".name", shorten_and_quote_client_text(spawn.name()),
                                 fmt::format("a name of 1 to {} bytes", kLongestSpawnName));
         if (std::ranges::find(run_actors, spawn.name()) != run_actors.end())
-            throw RejectedRequest(
-                grpc::StatusCode::ALREADY_EXISTS,
-                fmt::format("cannot spawn {}: an actor of the run already has the name {}; use another name",
-                            field, shorten_and_quote_client_text(spawn.name())));
+            refuse(grpc::StatusCode::ALREADY_EXISTS,
+                   "cannot spawn {}: an actor of the run already has the name {}; use another name", field,
+                   shorten_and_quote_client_text(spawn.name()));
         if (spawn.has_asset()) {
             const AssetCatalogue::CatalogueEntry* asset = assets_.find_asset(spawn.asset());
             if (!asset) throw_unknown_name(field + ".asset", spawn.asset(), list_asset_names(assets_));

@@ -134,12 +134,12 @@ std::vector<SpawnedActorRegistry::SpawnSlot> SceneSet::spawn_actors(std::size_t 
         unload_scenes_until_memory_suffices(scene_index, 0);
     } catch (const DataError& error) {
         undo();
-        throw RejectedRequest(grpc::StatusCode::FAILED_PRECONDITION,
-                              fmt::format("cannot spawn {} actors: {}", actors.size(), error.what()));
+        refuse(grpc::StatusCode::FAILED_PRECONDITION, "cannot spawn {} actors: {}", actors.size(),
+               error.what());
     } catch (const OutOfDeviceMemory& error) {
         undo();
-        throw RejectedRequest(grpc::StatusCode::RESOURCE_EXHAUSTED,
-                              fmt::format("cannot spawn {} actors: {}", actors.size(), error.what()));
+        refuse(grpc::StatusCode::RESOURCE_EXHAUSTED, "cannot spawn {} actors: {}", actors.size(),
+               error.what());
     } catch (...) {
         undo();
         throw;
@@ -147,11 +147,10 @@ std::vector<SpawnedActorRegistry::SpawnSlot> SceneSet::spawn_actors(std::size_t 
     if (loaded.bytes <= memory_bytes_) return occupied_slots;
     const double needed_mib = double(loaded.bytes) / kMiB;
     undo();
-    throw RejectedRequest(
-        grpc::StatusCode::RESOURCE_EXHAUSTED,
-        fmt::format("cannot spawn {} actors: the scene would need {:.1f} MiB of device memory with them, "
-                    "expected at most {:.1f} MiB (--memory-mib of the server)",
-                    actors.size(), needed_mib, double(memory_bytes_) / kMiB));
+    refuse(grpc::StatusCode::RESOURCE_EXHAUSTED,
+           "cannot spawn {} actors: the scene would need {:.1f} MiB of device memory with them, "
+           "expected at most {:.1f} MiB (--memory-mib of the server)",
+           actors.size(), needed_mib, double(memory_bytes_) / kMiB);
 }
 
 /// Unloads the least recently used scenes first.

@@ -35,13 +35,17 @@ void require_allowed_row_count(const std::string& field_name, std::uint64_t n_ro
                             fmt::format("at most {} rows, because ring numbers have 16 bits", kMostRows));
 }
 
-double require_number_in_range(const std::string& field_name, double value, double min_value,
-                               double max_value) {
-    if (!(value >= min_value && value <= max_value))
-        throw_invalid_field(field_name, fmt::format("{}", value),
-                            fmt::format("a number from {} to {}", min_value, max_value));
-    return value;
-}
+/// Checks the numbers of a message and returns them.
+struct NumberReader {
+    std::string field_name;
+
+    double operator()(const char* member, double value, double min_value, double max_value) const {
+        if (!(value >= min_value && value <= max_value))
+            throw_invalid_field(field_name + "." + member, fmt::format("{}", value),
+                                fmt::format("a number from {} to {}", min_value, max_value));
+        return value;
+    }
+};
 
 /// The array must have `n_expected_values` values or be empty.
 template <class T>
@@ -117,13 +121,11 @@ SpinningSensor read_spinning_sensor(const v1::SpinningSensor& message, const std
     SpinningSensor sensor;
     // Beams in messages have the same limits as beams in sensor files.
     for (const v1::Beam& beam : message.beams()) {
-        const std::string beam_field = fmt::format("{}.beams[{}]", field_name, sensor.beams.size());
+        const NumberReader read{fmt::format("{}.beams[{}]", field_name, sensor.beams.size())};
         sensor.beams.push_back(
-            {require_number_in_range(beam_field + ".elevation_rad", beam.elevation_rad(), -kPi / 2, kPi / 2),
-             require_number_in_range(beam_field + ".azimuth_offset_rad", beam.azimuth_offset_rad(), -kPi,
-                                     kPi),
-             require_number_in_range(beam_field + ".origin_offset_m", beam.origin_offset_m(),
-                                     -kFarthestBeam_m, kFarthestBeam_m)});
+            {read("elevation_rad", beam.elevation_rad(), -kPi / 2, kPi / 2),
+             read("azimuth_offset_rad", beam.azimuth_offset_rad(), -kPi, kPi),
+             read("origin_offset_m", beam.origin_offset_m(), -kFarthestBeam_m, kFarthestBeam_m)});
     }
     // Checks only that the first beam is above the last beam, because neighbouring beams
     // of real sensors can be slightly out of order.
@@ -134,8 +136,7 @@ SpinningSensor read_spinning_sensor(const v1::SpinningSensor& message, const std
                                         beams.front().elevation_rad, beams.back().elevation_rad),
                             "beams from the highest to the lowest, because row 0 of an image is the highest");
     sensor.columns = int(message.columns());
-    sensor.period_s =
-        require_number_in_range(field_name + ".period_s", message.period_s(), 1e-4, kLongestScan_s);
+    sensor.period_s = NumberReader{field_name}("period_s", message.period_s(), 1e-4, kLongestScan_s);
     sensor.clockwise = !message.counter_clockwise();
     // The first column is about half a turn away from azimuth 0, so that azimuth 0 is in
     // the middle of the image.
@@ -146,34 +147,27 @@ SpinningSensor read_spinning_sensor(const v1::SpinningSensor& message, const std
 WindowScanSensor read_scanning_window(const v1::ScanningWindow& message, const std::string& field_name) {
     require_allowed_rays_per_scan(field_name, std::uint64_t(message.rows()) * message.columns());
     require_allowed_row_count(field_name, message.rows());
-    const double top_rad =
-        require_number_in_range(field_name + ".top_rad", message.top_rad(), -kPi / 2, kPi / 2);
-    return {
-        .name = "",
-        .rows = int(message.rows()),
-        .columns = int(message.columns()),
-        .left_rad = require_number_in_range(field_name + ".left_rad", message.left_rad(), -2 * kPi, 2 * kPi),
-        .right_rad =
-            require_number_in_range(field_name + ".right_rad", message.right_rad(), -2 * kPi, 2 * kPi),
-        .top_rad = top_rad,
-        .bottom_rad =
-            require_number_in_range(field_name + ".bottom_rad", message.bottom_rad(), -kPi / 2, top_rad),
-        .period_s =
-            require_number_in_range(field_name + ".period_s", message.period_s(), 1e-4, kLongestScan_s)};
+    const NumberReader read{field_name};
+    const double top_rad = read("top_rad", message.top_rad(), -kPi / 2, kPi / 2);
+    return {.name = "",
+            .rows = int(message.rows()),
+            .columns = int(message.columns()),
+            .left_rad = read("left_rad", message.left_rad(), -2 * kPi, 2 * kPi),
+            .right_rad = read("right_rad", message.right_rad(), -2 * kPi, 2 * kPi),
+            .top_rad = top_rad,
+            .bottom_rad = read("bottom_rad", message.bottom_rad(), -kPi / 2, top_rad),
+            .period_s = read("period_s", message.period_s(), 1e-4, kLongestScan_s)};
 }
 
 RosetteSensor read_rosette(const v1::Rosette& message, const std::string& field_name) {
     require_allowed_rays_per_scan(field_name, message.rays());
+    const NumberReader read{field_name};
     return {.name = "",
-            .deflection_rad = require_number_in_range(field_name + ".deflection_rad",
-                                                      message.deflection_rad(), 0.0, kPi / 2),
-            .first_hz = require_number_in_range(field_name + ".first_hz", message.first_hz(),
-                                                -kFastestMirror_hz, kFastestMirror_hz),
-            .second_hz = require_number_in_range(field_name + ".second_hz", message.second_hz(),
-                                                 -kFastestMirror_hz, kFastestMirror_hz),
+            .deflection_rad = read("deflection_rad", message.deflection_rad(), 0.0, kPi / 2),
+            .first_hz = read("first_hz", message.first_hz(), -kFastestMirror_hz, kFastestMirror_hz),
+            .second_hz = read("second_hz", message.second_hz(), -kFastestMirror_hz, kFastestMirror_hz),
             .n_rays = int(message.rays()),
-            .period_s =
-                require_number_in_range(field_name + ".period_s", message.period_s(), 1e-4, kLongestScan_s)};
+            .period_s = read("period_s", message.period_s(), 1e-4, kLongestScan_s)};
 }
 
 }  // namespace
@@ -184,11 +178,11 @@ SimulatedSensor read_sensor(const v1::SensorSpec& message, const std::string& fi
         throw_invalid_field(field_name + ".name", shorten_and_quote_client_text(message.name()),
                             fmt::format("at most {} bytes", kLongestName));
     sensor.name = message.name().empty() ? "a client's sensor" : message.name();
-    sensor.limits.max_m = require_number_in_range(
-        field_name + ".max_range_m", message.has_max_range_m() ? message.max_range_m() : kDefaultRange_m,
-        1e-3, kFarthestRange_m);
-    sensor.limits.min_m =
-        require_number_in_range(field_name + ".min_range_m", message.min_range_m(), 0.0, sensor.limits.max_m);
+    const NumberReader read{field_name};
+    sensor.limits.max_m =
+        read("max_range_m", message.has_max_range_m() ? message.max_range_m() : kDefaultRange_m, 1e-3,
+             kFarthestRange_m);
+    sensor.limits.min_m = read("min_range_m", message.min_range_m(), 0.0, sensor.limits.max_m);
     switch (message.pattern_case()) {
         case v1::SensorSpec::kRays:
             sensor.pattern = read_ray_table_message(message.rays(), field_name + ".rays");
@@ -205,8 +199,7 @@ SimulatedSensor read_sensor(const v1::SensorSpec& message, const std::string& fi
         case v1::SensorSpec::PATTERN_NOT_SET:
             throw_invalid_field(field_name, "no pattern", "the pattern rays, spinning, window or rosette");
     }
-    const double divergence_rad = require_number_in_range(field_name + ".divergence_rad",
-                                                          message.divergence_rad(), 0.0, kWidestBeam_rad);
+    const double divergence_rad = read("divergence_rad", message.divergence_rad(), 0.0, kWidestBeam_rad);
     std::visit(
         [&](auto& pattern) {
             if constexpr (requires { pattern.name; }) pattern.name = sensor.name;

@@ -51,11 +51,10 @@ void write_pose(const Pose& pose, PoseTransformOrder pose_order, sensorsim::Pose
 void write_track(const PoseTrack& track, PoseTransformOrder pose_order, sensorsim::Trajectory& message) {
     for (std::size_t i = 0; i < track.pose.size(); ++i) {
         if (!(track.time_s[i] >= 0.0))
-            throw RejectedRequest(
-                grpc::StatusCode::FAILED_PRECONDITION,
-                fmt::format("cannot write a trajectory: found a pose at {} s, expected times of at least 0, "
-                            "because the message format has no negative times",
-                            track.time_s[i]));
+            refuse(grpc::StatusCode::FAILED_PRECONDITION,
+                   "cannot write a trajectory: found a pose at {} s, expected times of at least 0, "
+                   "because the message format has no negative times",
+                   track.time_s[i]);
         sensorsim::PoseAtTime& pose = *message.add_poses();
         write_pose(track.pose[i], pose_order, *pose.mutable_pose());
         pose.set_timestamp_us(std::uint64_t(std::llround(track.time_s[i] / kMicrosecond)));

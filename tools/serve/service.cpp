@@ -130,10 +130,9 @@ grpc::Status RenderService::RenderRig(grpc::ServerContext* context, const v1::Re
                                       grpc::ServerWriter<v1::RigScan>* writer) {
     return call_and_convert_errors_to_status([&] {
         if (on_scan_)
-            throw RejectedRequest(
-                grpc::StatusCode::FAILED_PRECONDITION,
-                "cannot answer RenderRig, because the server sends packets (--udp); expected RenderLidar "
-                "calls, because a receiver expects the packets of a single sensor");
+            refuse(grpc::StatusCode::FAILED_PRECONDITION,
+                   "cannot answer RenderRig, because the server sends packets (--udp); expected RenderLidar "
+                   "calls, because a receiver expects the packets of a single sensor");
         // One slot, so that the call is not rejected after some scans.
         RenderQueue::QueueSlot slot = reserve_slot_or_throw(queue_);
         const std::vector<RenderRequest> render_requests =

@@ -32,10 +32,9 @@ std::size_t find_or_add_free_slot(SpawnedActorSlots& slots, const ActorToSpawn& 
     if (free != slots.end()) return std::size_t(free - slots.begin());
     const auto of_source = std::size_t(std::ranges::count(slots, actor.source, &ActorToSpawn::source));
     if (slots.size() >= SpawnedActorRegistry::kMaxSlots)
-        throw RejectedRequest(
-            grpc::StatusCode::RESOURCE_EXHAUSTED,
-            fmt::format("cannot spawn {}: this scene already has {} spawned actors, which is the maximum",
-                        shorten_and_quote_client_text(actor.name), slots.size()));
+        refuse(grpc::StatusCode::RESOURCE_EXHAUSTED,
+               "cannot spawn {}: this scene already has {} spawned actors, which is the maximum",
+               shorten_and_quote_client_text(actor.name), slots.size());
     const std::size_t first = slots.size();
     ActorToSpawn empty = actor;
     empty.name.clear();
@@ -82,10 +81,9 @@ std::vector<SpawnedActorRegistry::SpawnSlot> SpawnedActorRegistry::assign_actors
     std::vector<SpawnSlot> occupied_slots;
     for (const ActorToSpawn& wish : actors) {
         if (find_slot_of_actor(slots, wish.name) != slots.end())
-            throw RejectedRequest(
-                grpc::StatusCode::ALREADY_EXISTS,
-                fmt::format("cannot spawn {}: an actor with this name exists; use another name",
-                            shorten_and_quote_client_text(wish.name)));
+            refuse(grpc::StatusCode::ALREADY_EXISTS,
+                   "cannot spawn {}: an actor with this name exists; use another name",
+                   shorten_and_quote_client_text(wish.name));
         const std::size_t position = find_or_add_free_slot(slots, wish);
         slots[position] = wish;
         occupied_slots.push_back({position, wish});
@@ -101,11 +99,9 @@ void SpawnedActorRegistry::remove_actors_and_free_slots(std::size_t scene_index,
     for (const std::string& name : actor_names) {
         const auto slot = find_slot_of_actor(slots, name);
         if (name.empty() || slot == slots.end())
-            throw RejectedRequest(
-                grpc::StatusCode::NOT_FOUND,
-                fmt::format(
-                    "cannot despawn {}: no spawned actor has this name, or the request names it twice",
-                    shorten_and_quote_client_text(name)));
+            refuse(grpc::StatusCode::NOT_FOUND,
+                   "cannot despawn {}: no spawned actor has this name, or the request names it twice",
+                   shorten_and_quote_client_text(name));
         slot->name.clear();
     }
     scenes_[scene_index] = std::move(slots);
