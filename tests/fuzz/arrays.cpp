@@ -27,18 +27,18 @@ std::vector<NamedArray> make_example_arrays() {
 
 Scene make_small_scene() { return make_background_scene(make_example_surfels(3)); }
 
-/// Calls a function that writes a file, and returns the bytes of the file.
-template <class Write>
-std::vector<std::string> written(const fs::path& folder, const Write& write) {
-    write(folder / "seed");
+/// Returns the bytes of the file that the function writes.
+template <auto Write>
+std::vector<std::string> written(const fs::path& folder) {
+    Write(folder / "seed");
     return {read_contents(folder / "seed")};
 }
 
 /// Reads the input as a file.
-template <class Read>
-void read_as_file(std::string_view input, const fs::path& folder, const Read& read) {
+template <auto Read>
+void read_as_file(std::string_view input, const fs::path& folder) {
     put(folder / "input", input);
-    read(folder / "input");
+    Read(folder / "input");
 }
 
 std::vector<std::byte> bytes_of(std::string_view input) {
@@ -55,65 +55,38 @@ std::vector<std::string> make_npy_seeds(const fs::path&) {
     return seeds;
 }
 
-std::vector<std::string> make_checkpoint_seeds(const fs::path& folder) {
-    return written(folder, [](const fs::path& file) {
-        auto arrays = make_example_arrays();
-        arrays.pop_back();  // safetensors does not support texts
-        write_checkpoint(file, {7, {{"seed", "1"}, {"config", "x = 1"}}, arrays});
-    });
+/// Without the last array, because safetensors does not support texts.
+std::vector<NamedArray> make_number_arrays() {
+    std::vector<NamedArray> arrays = make_example_arrays();
+    arrays.pop_back();
+    return arrays;
 }
 
-std::vector<std::string> make_safetensors_seeds(const fs::path& folder) {
-    return written(folder, [](const fs::path& file) {
-        auto arrays = make_example_arrays();
-        arrays.pop_back();
-        write_safetensors(file, arrays, {{"k", "v"}});
-    });
+void write_small_safetensors(const fs::path& file) {
+    write_safetensors(file, make_number_arrays(), {{"k", "v"}});
 }
 
 }  // namespace
 
 std::vector<Harness> list_array_harnesses() {
     return {
-        {"npz",
-         [](const fs::path& folder) {
-             return written(folder, [](const fs::path& file) { write_npz(file, make_example_arrays()); });
-         },
-         [](std::string_view input, const fs::path& folder) {
-             read_as_file(input, folder, [](const fs::path& file) { read_npz(file); });
-         }},
+        {"npz", written<[](const fs::path& file) { write_npz(file, make_example_arrays()); }>,
+         read_as_file<[](const fs::path& file) { read_npz(file); }>},
         {"npy", make_npy_seeds,
          [](std::string_view input, const fs::path&) { report_detail::parse_npy("a", bytes_of(input)); }},
-        {"safetensors", make_safetensors_seeds,
-         [](std::string_view input, const fs::path& folder) {
-             read_as_file(input, folder, [](const fs::path& file) { read_safetensors(file); });
-         }},
-        {"model",
-         [](const fs::path& folder) {
-             return written(folder,
-                            [](const fs::path& file) { save_scene_to_model_file(file, make_small_scene()); });
-         },
-         [](std::string_view input, const fs::path& folder) {
-             read_as_file(input, folder, [](const fs::path& file) { load_scene_from_model_file(file); });
-         }},
-        {"checkpoint", make_checkpoint_seeds,
-         [](std::string_view input, const fs::path& folder) {
-             read_as_file(input, folder, [](const fs::path& file) { read_checkpoint(file); });
-         }},
-        {"ply",
-         [](const fs::path& folder) {
-             return written(folder, [](const fs::path& file) { write_surfel_ply(file, make_small_scene()); });
-         },
-         [](std::string_view input, const fs::path& folder) {
-             read_as_file(input, folder,
-                          [](const fs::path& file) { read_surfel_ply(file, make_small_scene()); });
-         }},
+        {"safetensors", written<write_small_safetensors>,
+         read_as_file<[](const fs::path& file) { read_safetensors(file); }>},
+        {"model", written<[](const fs::path& file) { save_scene_to_model_file(file, make_small_scene()); }>,
+         read_as_file<[](const fs::path& file) { load_scene_from_model_file(file); }>},
+        {"checkpoint", written<[](const fs::path& file) {
+             write_checkpoint(file, {7, {{"seed", "1"}, {"config", "x = 1"}}, make_number_arrays()});
+         }>,
+         read_as_file<[](const fs::path& file) { read_checkpoint(file); }>},
+        {"ply", written<[](const fs::path& file) { write_surfel_ply(file, make_small_scene()); }>,
+         read_as_file<[](const fs::path& file) { read_surfel_ply(file, make_small_scene()); }>},
         // complete weights would have 10 MB
-        {"lpips", make_safetensors_seeds,
-         [](std::string_view input, const fs::path& folder) {
-             read_as_file(input, folder, [](const fs::path& file) { Lpips{read_lpips_weights(file)}; });
-         },
-         false},
+        {"lpips", written<write_small_safetensors>,
+         read_as_file<[](const fs::path& file) { Lpips{read_lpips_weights(file)}; }>, false},
     };
 }
 

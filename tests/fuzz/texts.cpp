@@ -96,54 +96,16 @@ void read_entities(std::string_view input, const fs::path& folder) {
 
 /// Builds TOML text from tokens. Each byte of the input selects a token.
 std::string format_toml(std::string_view input) {
-    static const std::vector<std::string> tokens = [] {
-        std::vector<std::string> all{"\n",
-                                     "\n",
-                                     " = ",
-                                     " = ",
-                                     ".",
-                                     ".",
-                                     "[",
-                                     "]",
-                                     "[[",
-                                     "]]",
-                                     "{",
-                                     "}",
-                                     ",",
-                                     "\"",
-                                     "'",
-                                     "\"\"\"",
-                                     "#",
-                                     "\\",
-                                     "\\u0000",
-                                     "\xC3\xA9",
-                                     "\xFF",
-                                     "\t",
-                                     "0",
-                                     "-1",
-                                     "1e308",
-                                     "-1e308",
-                                     "1e-308",
-                                     "nan",
-                                     "inf",
-                                     "9223372036854775807",
-                                     "9223372036854775808",
-                                     "0x10",
-                                     "true",
-                                     "false",
-                                     "1979-05-27",
-                                     "07:32:00",
-                                     "\"none\"",
-                                     "\"paper\"",
-                                     "preset",
-                                     "seed",
-                                     "n_frames",
-                                     "rows",
-                                     "columns",
-                                     "range_noise_m",
-                                     "speed_mps",
-                                     "moving_cars",
-                                     "a"};
+    constexpr std::string_view kTokens =  // separated by |
+        "\n|\n| = | = |.|.|[|]|[[|]]|{|}|,|\"|'|\"\"\"|#|\\|\\u0000|\xC3\xA9|\xFF|\t|0|-1|1e308|"
+        "-1e308|1e-308|nan|inf|9223372036854775807|9223372036854775808|0x10|true|false|"
+        "1979-05-27|07:32:00|\"none\"|\"paper\"|preset|seed|n_frames|rows|columns|range_noise_m|"
+        "speed_mps|moving_cars|a";
+    static const std::vector<std::string> tokens = [&] {
+        std::vector<std::string> all(1);
+        for (const char c : kTokens)
+            if (c == '|') all.emplace_back();
+            else all.back() += c;
         for (const ConfigKey& key : list_config_keys({})) all.push_back(key.key);
         return all;
     }();

@@ -48,9 +48,9 @@ struct Echo {
         return options;
     }
     int port() const { return server.port(); }
-    bool is_server_alive() const {
-        return status_of(ask(port(), "GET / HTTP/1.0\r\nHost: localhost\r\n\r\n")) != 0;
-    }
+    /// Returns the status of the response to a request.
+    int status(std::string_view request) const { return status_of(ask(port(), request)); }
+    bool is_server_alive() const { return status("GET / HTTP/1.0\r\nHost: localhost\r\n\r\n") != 0; }
 
     std::atomic<ClientId> last = 0;
 };
@@ -104,19 +104,18 @@ TEST(ViewServer, AcceptsFoxgloveFromKnownOriginsOrWithTheToken) {
     }
     for (const char* origin : {"http://evil.example", "null", "https://app.foxglove.dev.evil.example",
                                "http://localhost.evil.example", "http://127.0.0.1.evil.example:80"})
-        EXPECT_EQ(status_of(ask(echo.port(), make_foxglove_request(origin))), 403) << origin;
+        EXPECT_EQ(echo.status(make_foxglove_request(origin)), 403) << origin;
     const std::string fields = "Host: localhost:8080\r\nOrigin: https://app.foxglove.dev\r\n";
-    EXPECT_EQ(status_of(ask(echo.port(), make_upgrade_request(fields))), 403)
-        << "not with the page's protocol";
-    EXPECT_EQ(status_of(ask(echo.port(), get("/", fields))), 403);
+    EXPECT_EQ(echo.status(make_upgrade_request(fields)), 403) << "not with the page's protocol";
+    EXPECT_EQ(echo.status(get("/", fields)), 403);
     WebServerOptions options;
     options.token = kToken;
     const Echo locked(options);
     const std::string target = std::string("/?token=") + kToken;
     EXPECT_EQ(status_of(Socket(locked.port(), make_foxglove_request("http://any.example", target)).answer),
               101);
-    EXPECT_EQ(status_of(ask(locked.port(), make_foxglove_request("http://any.example", target + "0"))), 403);
-    EXPECT_EQ(status_of(ask(locked.port(), make_foxglove_request("https://app.foxglove.dev"))), 401);
+    EXPECT_EQ(locked.status(make_foxglove_request("http://any.example", target + "0")), 403);
+    EXPECT_EQ(locked.status(make_foxglove_request("https://app.foxglove.dev")), 401);
 }
 
 TEST(ViewServer, ServesItsAssetsByTheirExactNames) {
@@ -186,7 +185,7 @@ TEST(ViewServer, ServesNothingElse) {
                     Not(AnyOf(HasSubstr("root:"), HasSubstr("beside the program"), HasSubstr("let a"))))
             << path;
     }
-    EXPECT_EQ(status_of(ask(echo.port(), get("/live"))), 426);
+    EXPECT_EQ(echo.status(get("/live")), 426);
     EXPECT_TRUE(echo.is_server_alive());
 }
 
@@ -210,7 +209,7 @@ TEST(ViewServer, RefusesWhatIsNoRequestForAnAsset) {
         {"GET / HTTP/1.1\r\n" + host + "bad header\r\n\r\n", 400},
         {"\x16\x03\x01\x02\x00\x01\x00\x01\xfc\x03\x03 a TLS client\r\n\r\n", 400}};
     for (const auto& [request, status] : cases) {
-        EXPECT_EQ(status_of(ask(echo.port(), request)), status) << request.substr(0, 60);
+        EXPECT_EQ(echo.status(request), status) << request.substr(0, 60);
         EXPECT_TRUE(echo.is_server_alive());
     }
 }
@@ -219,13 +218,13 @@ TEST(ViewServer, KnowsItsOwnNamesAndNoOther) {
     const Echo echo;
     for (const char* host :
          {"localhost", "LocalHost:8080", "127.0.0.1", "127.0.0.1:9", "[::1]:8080", "[::1]", "192.168.3.4:80"})
-        EXPECT_EQ(status_of(ask(echo.port(), get("/", std::string("Host: ") + host + "\r\n"))), 200) << host;
+        EXPECT_EQ(echo.status(get("/", std::string("Host: ") + host + "\r\n")), 200) << host;
     for (const char* host :
          {"evil.example", "localhost.evil.example", "127.0.0.1.evil.example", "evil.example:8080",
           "localhost:80:80", "[::1", "[::1]x", "localhost:x", "a@localhost"})
-        EXPECT_EQ(status_of(ask(echo.port(), get("/", std::string("Host: ") + host + "\r\n"))), 403) << host;
-    EXPECT_EQ(status_of(ask(echo.port(), get("/", ""))), 400);
-    EXPECT_EQ(status_of(ask(echo.port(), get("/", "Host: localhost\r\nHost: evil.example\r\n"))), 400);
+        EXPECT_EQ(echo.status(get("/", std::string("Host: ") + host + "\r\n")), 403) << host;
+    EXPECT_EQ(echo.status(get("/", "")), 400);
+    EXPECT_EQ(echo.status(get("/", "Host: localhost\r\nHost: evil.example\r\n")), 400);
 }
 
 TEST(ViewServer, RefusesForeignPages) {
@@ -234,15 +233,14 @@ TEST(ViewServer, RefusesForeignPages) {
     for (const char* origin : {"http://evil.example", "http://localhost", "http://localhost:8081",
                                "https://localhost:8080", "null", "x"}) {
         const std::string fields = host + "Origin: " + origin + "\r\n";
-        EXPECT_EQ(status_of(ask(echo.port(), get("/", fields))), 403) << origin;
-        EXPECT_EQ(status_of(ask(echo.port(), make_upgrade_request(fields))), 403) << origin;
+        EXPECT_EQ(echo.status(get("/", fields)), 403) << origin;
+        EXPECT_EQ(echo.status(make_upgrade_request(fields)), 403) << origin;
     }
     EXPECT_EQ(
         status_of(
             Socket(echo.port(), make_upgrade_request(host + "Origin: http://localhost:8080\r\n")).answer),
         101);
-    EXPECT_EQ(status_of(ask(echo.port(),
-                            make_upgrade_request("Host: evil.example\r\nOrigin: http://evil.example\r\n"))),
+    EXPECT_EQ(echo.status(make_upgrade_request("Host: evil.example\r\nOrigin: http://evil.example\r\n")),
               403);
 }
 
@@ -256,17 +254,16 @@ TEST(ViewServer, LetsInWhoShowsTheTokenAlone) {
          {std::string("/"), std::string("/?token="), "/?token=" + close_one, "/?token=" + close_one + "e",
           "/?token=" + std::string(kToken) + "0", "/?tokem=" + std::string(kToken), std::string("/main.js"),
           std::string("/nothing")})
-        EXPECT_EQ(status_of(ask(echo.port(), get(target))), 401) << target;
-    EXPECT_EQ(status_of(ask(echo.port(), get("/", host + "Cookie: " + cookie + "=" + close_one + "\r\n"))),
-              401);
-    EXPECT_EQ(status_of(ask(echo.port(), make_upgrade_request())), 401);
+        EXPECT_EQ(echo.status(get(target)), 401) << target;
+    EXPECT_EQ(echo.status(get("/", host + "Cookie: " + cookie + "=" + close_one + "\r\n")), 401);
+    EXPECT_EQ(echo.status(make_upgrade_request()), 401);
 
     const std::string page = ask(echo.port(), get("/?token=" + std::string(kToken)));
     EXPECT_EQ(status_of(page), 200);
     EXPECT_THAT(
         page, HasSubstr("Set-Cookie: " + cookie + "=" + kToken + "; Path=/; HttpOnly; SameSite=Strict\r\n"));
     const std::string shown = host + "Cookie: other=1; " + cookie + "=" + kToken + "\r\n";
-    EXPECT_EQ(status_of(ask(echo.port(), get("/main.js", shown))), 200);
+    EXPECT_EQ(echo.status(get("/main.js", shown)), 200);
     EXPECT_EQ(status_of(Socket(echo.port(), make_upgrade_request(shown)).answer), 101);
     EXPECT_THAT(echo.server.get_page_url(), HasSubstr(std::string("/?token=") + kToken));
 }
@@ -300,13 +297,13 @@ TEST(ViewServer, TurnsAwayMoreThanItHasRoomFor) {
         std::vector<std::unique_ptr<Socket>> guests;
         for (int i = 0; i < 4; ++i) guests.push_back(std::make_unique<Socket>(echo.port()));
         for (const auto& guest : guests) EXPECT_EQ(status_of(guest->answer), 101);
-        EXPECT_EQ(status_of(ask(echo.port(), get("/"))), 503);
+        EXPECT_EQ(echo.status(get("/")), 503);
     }
     int status = 503;
     for (int i = 0; i < 50 && status == 503; ++i) {
         // until the server has noticed that they disconnected
         std::this_thread::sleep_for(milliseconds(20));
-        status = status_of(ask(echo.port(), get("/")));
+        status = echo.status(get("/"));
     }
     EXPECT_EQ(status, 200);
 }
@@ -323,7 +320,7 @@ TEST(ViewServer, AnswersWhileManyConnectionsAreSilent) {
     const auto start = std::chrono::steady_clock::now();
     int status = 0;
     while (status != 200 && std::chrono::steady_clock::now() - start < std::chrono::seconds(5)) {
-        status = status_of(ask(echo.port(), get("/")));
+        status = echo.status(get("/"));
         std::this_thread::sleep_for(milliseconds(20));
     }
     EXPECT_EQ(status, 200) << "the server closes silent connections, although their clients keep them open";
@@ -370,7 +367,7 @@ TEST(ViewServer, ClosesOnFramesThatAreNone) {
     for (const char* broken : {"Sec-WebSocket-Version: 13", "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ=="}) {
         std::string request = make_upgrade_request();
         request.erase(request.find(broken), std::string(broken).size() + 2);
-        EXPECT_THAT(status_of(ask(echo.port(), request)), AnyOf(400, 426)) << broken;
+        EXPECT_THAT(echo.status(request), AnyOf(400, 426)) << broken;
     }
 }
 
