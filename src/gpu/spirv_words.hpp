@@ -14,21 +14,23 @@ namespace relidar::gpu {
 
 inline constexpr std::size_t kHeaderWords = 5;
 // Opcodes.
-inline constexpr std::uint32_t kOpName = 5, kOpLine = 8, kOpExtension = 10, kOpEntryPoint = 15,
-                               kOpExecutionMode = 16, kOpCapability = 17, kOpTypeBool = 20, kOpTypeInt = 21,
-                               kOpTypeFloat = 22, kOpTypeVector = 23, kOpTypeArray = 28, kOpTypeStruct = 30,
+inline constexpr std::uint32_t kOpName = 5, kOpMemberName = 6, kOpLine = 8, kOpExtension = 10,
+                               kOpEntryPoint = 15, kOpExecutionMode = 16, kOpCapability = 17,
+                               kOpTypeBool = 20, kOpTypeInt = 21, kOpTypeFloat = 22, kOpTypeVector = 23,
+                               kOpTypeArray = 28, kOpTypeRuntimeArray = 29, kOpTypeStruct = 30,
                                kOpTypePointer = 32, kOpConstantTrue = 41, kOpConstantFalse = 42,
-                               kOpConstant = 43, kOpSpecConstant = 50, kOpSpecConstantOp = 52,
-                               kOpFunction = 54, kOpVariable = 59, kOpLoad = 61, kOpStore = 62,
-                               kOpAccessChain = 65, kOpDecorate = 71, kOpMemberDecorate = 72,
-                               kOpCompositeConstruct = 80, kOpIAdd = 128, kOpLogicalOr = 166,
-                               kOpLogicalAnd = 167, kOpLogicalNot = 168, kOpIEqual = 170, kOpINotEqual = 171,
-                               kOpBitwiseAnd = 199, kOpPhi = 245, kOpLoopMerge = 246, kOpSelectionMerge = 247,
-                               kOpLabel = 248, kOpBranch = 249, kOpBranchConditional = 250, kOpSwitch = 251,
-                               kOpNoLine = 317;
+                               kOpConstant = 43, kOpConstantComposite = 44, kOpSpecConstant = 50,
+                               kOpSpecConstantOp = 52, kOpFunction = 54, kOpFunctionParameter = 55,
+                               kOpVariable = 59, kOpLoad = 61, kOpStore = 62, kOpAccessChain = 65,
+                               kOpDecorate = 71, kOpMemberDecorate = 72, kOpCompositeConstruct = 80,
+                               kOpBitcast = 124, kOpIAdd = 128, kOpLogicalOr = 166, kOpLogicalAnd = 167,
+                               kOpLogicalNot = 168, kOpIEqual = 170, kOpINotEqual = 171, kOpBitwiseAnd = 199,
+                               kOpControlBarrier = 224, kOpMemoryBarrier = 225, kOpPhi = 245,
+                               kOpLoopMerge = 246, kOpSelectionMerge = 247, kOpLabel = 248, kOpBranch = 249,
+                               kOpBranchConditional = 250, kOpSwitch = 251, kOpNoLine = 317;
 // Decorations, a value of the decoration kBuiltIn, storage classes, and a memory operand.
 inline constexpr std::uint32_t kSpecId = 1, kArrayStride = 6, kBuiltIn = 11, kNonWritable = 24, kOffset = 35,
-                               kAliasedPointer = 5356;
+                               kCoherent = 23, kAliasedPointer = 5356;
 inline constexpr std::uint32_t kLocalInvocationIndex = 29;
 inline constexpr std::uint32_t kInput = 1, kPrivate = 6, kPushConstant = 9, kPhysicalStorage = 5349;
 inline constexpr std::uint32_t kAligned = 2;
@@ -51,11 +53,15 @@ inline void append_spirv_instruction(std::vector<std::uint32_t>& spirv_words, st
     spirv_words.insert(spirv_words.end(), operands);
 }
 
+/// Texts are stored as little-endian bytes and end with a zero byte.
+inline const char* read_spirv_string(SpirvInstruction words) {
+    return reinterpret_cast<const char*>(words.data());
+}
+
 /// Returns true for the name of the type of a kernel's parameters (RELIDAR_PARAMS). SPIR-V
 /// lists names before decorations and types.
 inline bool is_parameter_block_name(std::uint32_t opcode, SpirvInstruction instruction) {
-    return opcode == kOpName &&
-           std::string_view(reinterpret_cast<const char*>(&instruction[2])) == "ParamsBlock";
+    return opcode == kOpName && std::string_view(read_spirv_string(instruction.subspan(2))) == "ParamsBlock";
 }
 
 /// Returns true for instructions that precede the code of a function.

@@ -15,11 +15,45 @@
 
 #include "gpu/kernel.hpp"
 #include "gpu/spirv.hpp"
+#include "gpu/spirv_words.hpp"
 #include "shared_layouts.inc"
-#include "spirv_layout.hpp"
 
 namespace relidar::structure {
 namespace {
+
+using namespace gpu;
+
+/// Member name -> offset in bytes.
+using StructLayout = std::map<std::string, std::uint32_t>;
+
+/// Declaration of a struct type in a module.
+struct Struct {
+    std::string name;
+    std::size_t n_members = 0;
+    std::map<std::uint32_t, std::string> member_name;
+    std::map<std::uint32_t, std::uint32_t> member_offset;
+};
+
+/// Returns the layouts of the structs with offsets in a module, by their names in the
+/// source. glslang emits a second, undecorated copy of a struct that is used as a local
+/// variable. These copies are omitted.
+std::map<std::string, StructLayout> read_spirv_layouts(std::span<const std::uint32_t> words) {
+    std::map<std::uint32_t, Struct> structs;
+    for_each_spirv_instruction(words, [&](std::uint32_t opcode, SpirvInstruction i) {
+        if (opcode == kOpName) structs[i[1]].name = read_spirv_string(i.subspan(2));
+        if (opcode == kOpMemberName) structs[i[1]].member_name[i[2]] = read_spirv_string(i.subspan(3));
+        if (opcode == kOpMemberDecorate && i[3] == kOffset) structs[i[1]].member_offset[i[2]] = i[4];
+        if (opcode == kOpTypeStruct) structs[i[1]].n_members = i.size() - 2;
+    });
+    std::map<std::string, StructLayout> layouts;
+    for (const auto& [id, type] : structs) {
+        if (type.n_members == 0 || type.member_offset.size() != type.n_members) continue;
+        StructLayout layout;
+        for (const auto& [member, offset] : type.member_offset) layout[type.member_name.at(member)] = offset;
+        EXPECT_EQ(layouts.emplace(type.name, layout).first->second, layout) << "two layouts of " << type.name;
+    }
+    return layouts;
+}
 
 std::map<std::string, StructLayout> list_host_layouts() {
     std::map<std::string, StructLayout> layouts;
@@ -46,10 +80,13 @@ TEST(SharedLayout, KernelsSeeWhatTheHostWrites) {
 }
 
 TEST(Kernels, HaveNo64BitIntegers) {
+    constexpr std::uint32_t kCapabilityInt64 = 11;
     ASSERT_FALSE(embedded_kernels().empty());
     for (const EmbeddedKernel& kernel : embedded_kernels())
-        EXPECT_FALSE(read_spirv_capabilities(kernel.words).contains(kCapabilityInt64))
-            << kernel.name << ": see RELIDAR_DECLARE_POINTER in relidar/base/lang.h";
+        for_each_spirv_instruction(kernel.words, [&](std::uint32_t opcode, SpirvInstruction i) {
+            EXPECT_FALSE(opcode == kOpCapability && i[1] == kCapabilityInt64)
+                << kernel.name << ": see RELIDAR_DECLARE_POINTER in relidar/base/lang.h";
+        });
 }
 
 /// Uses of addresses in a module.
@@ -61,28 +98,13 @@ struct Addresses {
 class AddressReader {
 public:
     explicit AddressReader(std::span<const std::uint32_t> words) {
-        spirv_detail::for_each_instruction(
-            words,
-            [&](std::uint32_t opcode, std::span<const std::uint32_t> operands) { read(opcode, operands); });
+        for_each_spirv_instruction(
+            words, [&](std::uint32_t opcode, SpirvInstruction i) { read(opcode, i.subspan(1)); });
         for (const std::uint32_t entry : entries_) address_counts_.n_in_arrays += holds_address(entry);
     }
     Addresses found() const { return address_counts_; }
 
 private:
-    enum : std::uint32_t {
-        type_array = 28,
-        type_runtime_array = 29,
-        type_struct = 30,
-        type_pointer = 32,
-        constant = 43,
-        constant_composite = 44,
-        function_parameter = 55,
-        load = 61,
-        bitcast = 124,
-        equal = 170,
-        not_equal = 171,
-        storage = 5349
-    };
     std::set<std::uint32_t> addresses_, entries_;  ///< types of addresses and of array elements
     std::map<std::uint32_t, std::vector<std::uint32_t>> members_;
     /// values_ are addresses; bits_ are the same addresses in the form of vectors
@@ -96,15 +118,15 @@ private:
                std::ranges::any_of(at->second, [&](std::uint32_t member) { return holds_address(member); });
     }
     void read(std::uint32_t opcode, std::span<const std::uint32_t> operands) {
-        if (opcode == type_pointer && operands[1] == storage) addresses_.insert(operands[0]);
-        if (opcode == type_runtime_array) entries_.insert(operands[1]);
-        if (opcode == type_array) members_[operands[0]] = {operands[1]};
-        if (opcode == type_struct) members_[operands[0]].assign(operands.begin() + 1, operands.end());
-        if (opcode == constant || opcode == constant_composite) constants_.insert(operands[1]);
-        if ((opcode == load || opcode == function_parameter) && addresses_.contains(operands[0]))
+        if (opcode == kOpTypePointer && operands[1] == kPhysicalStorage) addresses_.insert(operands[0]);
+        if (opcode == kOpTypeRuntimeArray) entries_.insert(operands[1]);
+        if (opcode == kOpTypeArray) members_[operands[0]] = {operands[1]};
+        if (opcode == kOpTypeStruct) members_[operands[0]].assign(operands.begin() + 1, operands.end());
+        if (opcode == kOpConstant || opcode == kOpConstantComposite) constants_.insert(operands[1]);
+        if ((opcode == kOpLoad || opcode == kOpFunctionParameter) && addresses_.contains(operands[0]))
             values_.insert(operands[1]);
-        if (opcode == bitcast && values_.contains(operands[2])) bits_.insert(operands[1]);
-        if (opcode != equal && opcode != not_equal) return;
+        if (opcode == kOpBitcast && values_.contains(operands[2])) bits_.insert(operands[1]);
+        if (opcode != kOpIEqual && opcode != kOpINotEqual) return;
         if ((bits_.contains(operands[2]) && constants_.contains(operands[3])) ||
             (bits_.contains(operands[3]) && constants_.contains(operands[2])))
             ++address_counts_.n_compared;
@@ -130,14 +152,14 @@ TEST(Kernels, GetNoAddressZero) {
 TEST(Kernels, AddressesOfParametersAreFound) {
     const auto addresses = [](std::string_view name) {
         for (const EmbeddedKernel& kernel : embedded_kernels())
-            if (kernel.name == name) return gpu::list_pointer_offsets_in_parameter_block(kernel.words);
+            if (kernel.name == name) return list_pointer_offsets_in_parameter_block(kernel.words);
         return std::vector<std::uint32_t>();
     };
     EXPECT_THAT(addresses("gpu/copy"), testing::ElementsAre(0u, 8u));
     EXPECT_THAT(addresses("scene/activate"),
                 testing::ElementsAre(0u, 8u, 16u, 24u, 32u, 40u, 48u, 56u, 64u, 72u, 80u));
     for (const EmbeddedKernel& kernel : embedded_kernels())
-        EXPECT_FALSE(gpu::list_pointer_offsets_in_parameter_block(kernel.words).empty()) << kernel.name;
+        EXPECT_FALSE(list_pointer_offsets_in_parameter_block(kernel.words).empty()) << kernel.name;
 }
 
 }  // namespace
