@@ -14,7 +14,6 @@
 
 #include "base/fail.hpp"
 #include "gpu/pipeline_cache.hpp"
-#include "gpu/pipeline_statistics.hpp"
 #include "gpu/spirv.hpp"
 #include "gpu/stream.hpp"
 
@@ -215,6 +214,54 @@ VkPipeline KernelBase::Impl::wait_for_compiled_pipeline() {
     return pipeline_ = made.pipeline;
 }
 
+namespace {
+
+double convert_statistic_to_double(const VkPipelineExecutableStatisticKHR& statistic) {
+    switch (statistic.format) {
+        case VK_PIPELINE_EXECUTABLE_STATISTIC_FORMAT_BOOL32_KHR:
+            return statistic.value.b32 ? 1.0 : 0.0;
+        case VK_PIPELINE_EXECUTABLE_STATISTIC_FORMAT_INT64_KHR:
+            return double(statistic.value.i64);
+        case VK_PIPELINE_EXECUTABLE_STATISTIC_FORMAT_UINT64_KHR:
+            return double(statistic.value.u64);
+        default:
+            return statistic.value.f64;
+    }
+}
+
+/// Reads the statistics of the driver's compiler, under the names of the driver
+/// (VK_KHR_pipeline_executable_properties).
+void query_pipeline_statistics(VkDevice device, VkPipeline pipeline, PipelineStatistics& statistics) {
+    VkPipelineInfoKHR info{VK_STRUCTURE_TYPE_PIPELINE_INFO_KHR};
+    info.pipeline = pipeline;
+    std::uint32_t n = 0;
+    gpu::throw_unless_vulkan_success(vkGetPipelineExecutablePropertiesKHR(device, &info, &n, nullptr),
+                                     "vkGetPipelineExecutablePropertiesKHR");
+    std::vector<VkPipelineExecutablePropertiesKHR> executables(
+        n, {VK_STRUCTURE_TYPE_PIPELINE_EXECUTABLE_PROPERTIES_KHR});
+    gpu::throw_unless_vulkan_success(
+        vkGetPipelineExecutablePropertiesKHR(device, &info, &n, executables.data()),
+        "vkGetPipelineExecutablePropertiesKHR");
+    if (n == 0) return;
+    // Some drivers (Intel) compile one executable per subgroup size. The last executable
+    // has the largest subgroups.
+    statistics.subgroup_size = static_cast<int>(executables[n - 1].subgroupSize);
+    VkPipelineExecutableInfoKHR program{VK_STRUCTURE_TYPE_PIPELINE_EXECUTABLE_INFO_KHR};
+    program.pipeline = pipeline;
+    program.executableIndex = n - 1;
+    gpu::throw_unless_vulkan_success(vkGetPipelineExecutableStatisticsKHR(device, &program, &n, nullptr),
+                                     "vkGetPipelineExecutableStatisticsKHR");
+    std::vector<VkPipelineExecutableStatisticKHR> values(
+        n, {VK_STRUCTURE_TYPE_PIPELINE_EXECUTABLE_STATISTIC_KHR});
+    gpu::throw_unless_vulkan_success(
+        vkGetPipelineExecutableStatisticsKHR(device, &program, &n, values.data()),
+        "vkGetPipelineExecutableStatisticsKHR");
+    for (const VkPipelineExecutableStatisticKHR& value : values)
+        statistics.values[value.name] = convert_statistic_to_double(value);
+}
+
+}  // namespace
+
 void KernelBase::compile_pipeline_and_store_statistics() {
     Device::Impl& device = *impl_->device;
     PipelineStatistics s;
@@ -228,7 +275,7 @@ void KernelBase::compile_pipeline_and_store_statistics() {
     if (std::any_of(device.compiled.begin(), device.compiled.end(), is_same)) return;
     const gpu::ComputePipelines::CompiledPipeline made = impl_->made_.get();
     if (made.result != VK_SUCCESS) s.failure = gpu::get_vulkan_result_name(made.result);
-    else if (device.pipeline_statistics) gpu::query_pipeline_statistics(device.device, made.pipeline, s);
+    else if (device.pipeline_statistics) query_pipeline_statistics(device.device, made.pipeline, s);
     device.compiled.push_back(s);
 }
 

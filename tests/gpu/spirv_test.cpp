@@ -14,26 +14,20 @@
 
 #include "gpu/kernel.hpp"
 #include "gpu/spirv.hpp"
+#include "gpu/spirv_words.hpp"
 
 namespace relidar {
 namespace {
 
 namespace fs = std::filesystem;
 
+using namespace gpu;
 using Words = std::vector<std::uint32_t>;
 
-constexpr std::uint32_t kOpExtension = 10, kOpEntryPoint = 15, kOpExecutionMode = 16;
-
-/// Splits a module into instructions.
-/// @return empty if an instruction is truncated
 std::vector<Words> instructions(std::span<const std::uint32_t> words) {
     std::vector<Words> result;
-    for (std::size_t at = 5; at < words.size();) {
-        const std::size_t n = words[at] >> 16;
-        if (n == 0 || at + n > words.size()) return {};
-        result.emplace_back(words.begin() + at, words.begin() + at + n);
-        at += n;
-    }
+    for_each_spirv_instruction(
+        words, [&](std::uint32_t, SpirvInstruction i) { result.emplace_back(i.begin(), i.end()); });
     return result;
 }
 
@@ -55,7 +49,7 @@ std::string text_of(const Words& extension) {
 TEST(SpirvModes, ParametersAreReadOnlyInEveryModule) {
     for (const EmbeddedKernel& kernel : embedded_kernels()) {
         const std::vector<Words> before = instructions(kernel.words),
-                                 after = instructions(gpu::mark_parameter_block_read_only(kernel.words));
+                                 after = instructions(mark_parameter_block_read_only(kernel.words));
         std::vector<Words> added;
         std::size_t k = 0;
         for (const Words& instruction : after) {
@@ -64,19 +58,17 @@ TEST(SpirvModes, ParametersAreReadOnlyInEveryModule) {
         }
         EXPECT_EQ(k, before.size()) << kernel.name << ": an instruction is missing";
         ASSERT_EQ(added.size(), 1u) << kernel.name;
-        EXPECT_EQ(added[0][0], 4u << 16 | 72u) << kernel.name;  // OpMemberDecorate
+        EXPECT_EQ(added[0][0], 4u << 16 | kOpMemberDecorate) << kernel.name;
         EXPECT_EQ(added[0][2], 0u) << kernel.name;
-        EXPECT_EQ(added[0][3], 24u) << kernel.name;  // NonWritable
+        EXPECT_EQ(added[0][3], kNonWritable) << kernel.name;
     }
 }
 
 TEST(SpirvModes, AreAllThatIsAddedToAModule) {
     for (const EmbeddedKernel& kernel : embedded_kernels())
-        for (const gpu::ExecutionMode& mode :
-             {gpu::kSubgroupUniformControlFlow, gpu::kMaximallyReconverges}) {
+        for (const ExecutionMode& mode : {kSubgroupUniformControlFlow, kMaximallyReconverges}) {
             const std::vector<Words> before = instructions(kernel.words),
-                                     after =
-                                         instructions(gpu::add_execution_mode_to_spirv(kernel.words, mode));
+                                     after = instructions(add_execution_mode_to_spirv(kernel.words, mode));
             ASSERT_FALSE(after.empty()) << kernel.name;
             int n_extensions = 0, n_modes = 0, last = 0;
             std::vector<Words> rest;
@@ -101,31 +93,21 @@ TEST(SpirvModes, AreAllThatIsAddedToAModule) {
 /// Counts loads from the parameter block before and after the first branch of the entry
 /// point. Loads in other functions count as loads after the branch.
 std::pair<int, int> count_parameter_loads(std::span<const std::uint32_t> words) {
-    enum : std::uint32_t {
-        name = 5,
-        type_pointer = 32,
-        function = 54,
-        call = 57,
-        load = 61,
-        chain = 65,
-        loop_merge = 246,
-        merge = 247
-    };
     std::uint32_t block = 0, pointer = 0, entry = 0;
     std::set<std::uint32_t> addresses, member_pointers;
     bool at_start = false;
     std::pair<int, int> n{0, 0};
     for (const Words& i : instructions(words)) {
         const std::uint32_t opcode = i[0] & 0xffffu;
-        if (opcode == name && std::string(reinterpret_cast<const char*>(&i[2])) == "ParamsBlock")
-            block = i[1];
+        if (is_parameter_block_name(opcode, i)) block = i[1];
         if (opcode == kOpEntryPoint) entry = i[2];
-        if (opcode == type_pointer && i[3] == block) pointer = i[1];
-        if (opcode == function) at_start = i[2] == entry;
-        if (opcode == merge || opcode == loop_merge || opcode == call) at_start = false;
-        if (opcode == load && i[1] == pointer) addresses.insert(i[2]);
-        if (opcode == chain && addresses.contains(i[3])) member_pointers.insert(i[2]);
-        if (opcode == load && member_pointers.contains(i[3])) ++(at_start ? n.first : n.second);
+        if (opcode == kOpTypePointer && i[3] == block) pointer = i[1];
+        if (opcode == kOpFunction) at_start = i[2] == entry;
+        if (opcode == kOpSelectionMerge || opcode == kOpLoopMerge || opcode == kOpFunctionCall)
+            at_start = false;
+        if (opcode == kOpLoad && i[1] == pointer) addresses.insert(i[2]);
+        if (opcode == kOpAccessChain && addresses.contains(i[3])) member_pointers.insert(i[2]);
+        if (opcode == kOpLoad && member_pointers.contains(i[3])) ++(at_start ? n.first : n.second);
     }
     return n;
 }
@@ -135,7 +117,7 @@ std::pair<int, int> count_parameter_loads(std::span<const std::uint32_t> words) 
 TEST(SpirvParameters, AreReadWhereAModuleBegins) {
     int n_before = 0, n_later = 0;
     for (const EmbeddedKernel& kernel : embedded_kernels()) {
-        const auto [first, later] = count_parameter_loads(gpu::hoist_parameter_loads(kernel.words));
+        const auto [first, later] = count_parameter_loads(hoist_parameter_loads(kernel.words));
         EXPECT_GE(first, 1) << kernel.name;
         n_before += count_parameter_loads(kernel.words).second;
         n_later += later;
@@ -171,39 +153,37 @@ void expect_valid(const std::function<Words(std::span<const std::uint32_t>)>& ch
 
 TEST(SpirvModes, AreAcceptedBySpirvVal) {
     expect_valid([](std::span<const std::uint32_t> words) {
-        return gpu::add_execution_mode_to_spirv(words, gpu::kSubgroupUniformControlFlow);
+        return add_execution_mode_to_spirv(words, kSubgroupUniformControlFlow);
     });
 }
 
 TEST(SpirvParameters, AreAcceptedBySpirvVal) {
     expect_valid([](std::span<const std::uint32_t> words) {
-        return gpu::hoist_parameter_loads(gpu::mark_parameter_block_read_only(words));
+        return hoist_parameter_loads(mark_parameter_block_read_only(words));
     });
 }
 
 TEST(SpirvLanes, AreAcceptedBySpirvVal) {
     expect_valid([](std::span<const std::uint32_t> words) {
-        return gpu::hoist_parameter_loads(gpu::make_array_indices_nonuniform(words));
+        return hoist_parameter_loads(make_array_indices_nonuniform(words));
     });
 }
 
 /// After the modification, every index into an array must be a sum. Indices of parameters
 /// must be constants.
 TEST(SpirvLanes, AreInEveryIndex) {
-    enum : std::uint32_t { name = 5, type_pointer = 32, load = 61, chain = 65, add = 128, storage = 5349 };
     for (const EmbeddedKernel& kernel : embedded_kernels()) {
         std::uint32_t block = 0, block_pointer = 0;
         std::set<std::uint32_t> addresses, parameters, sums;
         int n_indices = 0;
-        for (const Words& i : instructions(gpu::make_array_indices_nonuniform(kernel.words))) {
+        for (const Words& i : instructions(make_array_indices_nonuniform(kernel.words))) {
             const std::uint32_t opcode = i[0] & 0xffffu;
-            if (opcode == name && std::string(reinterpret_cast<const char*>(&i[2])) == "ParamsBlock")
-                block = i[1];
-            if (opcode == type_pointer && i[2] == storage) addresses.insert(i[1]);
-            if (opcode == type_pointer && i[2] == storage && i[3] == block) block_pointer = i[1];
-            if (opcode == load && i[1] == block_pointer) parameters.insert(i[2]);
-            if (opcode == add) sums.insert(i[2]);
-            if (opcode != chain || !addresses.contains(i[1]) || parameters.contains(i[3])) continue;
+            if (is_parameter_block_name(opcode, i)) block = i[1];
+            if (opcode == kOpTypePointer && i[2] == kPhysicalStorage) addresses.insert(i[1]);
+            if (opcode == kOpTypePointer && i[2] == kPhysicalStorage && i[3] == block) block_pointer = i[1];
+            if (opcode == kOpLoad && i[1] == block_pointer) parameters.insert(i[2]);
+            if (opcode == kOpIAdd) sums.insert(i[2]);
+            if (opcode != kOpAccessChain || !addresses.contains(i[1]) || parameters.contains(i[3])) continue;
             ++n_indices;
             EXPECT_TRUE(i.size() > 5 && sums.contains(i[5])) << kernel.name;
         }
@@ -216,17 +196,16 @@ TEST(SpirvLanes, AreInEveryIndex) {
 std::map<std::uint32_t, std::uint32_t> change_constants(std::span<const std::uint32_t> words) {
     const auto id_of = [](SpecialisationConstantId id) { return static_cast<std::uint32_t>(id); };
     std::map<std::uint32_t, std::uint32_t> constants;
-    for (const std::uint32_t id : gpu::list_specialisation_constant_ids(words))
+    for (const std::uint32_t id : list_specialisation_constant_ids(words))
         constants[id] = id == id_of(SpecialisationConstantId::CHUNK) ? 16u : 1u;
     constants.erase(id_of(SpecialisationConstantId::WORKGROUP_SIZE));
     return constants;
 }
 
 TEST(SpirvBranches, AreAcceptedBySpirvVal) {
-    expect_valid(
-        [](std::span<const std::uint32_t> words) { return gpu::remove_constant_branches(words, {}); });
+    expect_valid([](std::span<const std::uint32_t> words) { return remove_constant_branches(words, {}); });
     expect_valid([](std::span<const std::uint32_t> words) {
-        return gpu::remove_constant_branches(words, change_constants(words));
+        return remove_constant_branches(words, change_constants(words));
     });
 }
 
@@ -261,7 +240,7 @@ TEST(SpirvBranches, LeaveWhatSpirvOptLeaves) {
     for (const EmbeddedKernel& kernel : embedded_kernels()) {
         const std::map<std::uint32_t, std::uint32_t> constants = change_constants(kernel.words);
         if (constants.empty()) continue;
-        const Words resolved_words = gpu::remove_constant_branches(kernel.words, constants);
+        const Words resolved_words = remove_constant_branches(kernel.words, constants);
         EXPECT_TRUE(optimise_words(resolved_words, constants) == optimise_words(kernel.words, constants))
             << kernel.name;
         n_shorter += resolved_words.size() < kernel.words.size();

@@ -3,10 +3,12 @@
 #pragma once
 
 #include <relidar/run/run.hpp>
+#include <relidar/simulate/assets.hpp>
 #include <relidar/simulate/render.hpp>
 
 #include "relidar/v1/render.pb.h"
 #include "request_messages.hpp"
+#include "spawned.hpp"
 
 namespace relidar::serve {
 
@@ -27,5 +29,12 @@ void write_scene_description(const std::string& scene_name, const TrainedRun& ru
 void write_recorded_tracks(const TrainedRun& run, int lidar_index,
                            const google::protobuf::RepeatedPtrField<std::string>& actor_names_or_all,
                            v1::GetTracksResponse& message);
+
+void write_asset_into_message(const AssetDescription& asset_description, v1::Asset& message);
+
+void write_spawned_actor(const SpawnedActorRegistry::SpawnSlot& slot, const TrainedRun& run,
+                         v1::SpawnedActor& message);
+
+void write_actors_with_too_few_surfels(const RenderRequest& request, v1::LidarScan& message);
 
 }  // namespace relidar::serve

@@ -7,7 +7,6 @@
 #include "asset_catalogue.hpp"
 #include "render_requests.hpp"
 #include "sensor_messages.hpp"
-#include "spawn_messages.hpp"
 
 namespace relidar::serve {
 namespace {
