@@ -8,6 +8,7 @@
 #include <cstring>
 #include <iterator>
 #include <set>
+#include <sstream>
 
 #include <ImfChannelList.h>
 #include <ImfFrameBuffer.h>
@@ -54,7 +55,7 @@ public:
     std::string read_zero_terminated_name() {
         const std::size_t end = file_.find('\0', at_);
         if (end == std::string::npos || end - at_ > 255)
-            throw DataError("the header is truncated, or it contains a name that is longer than 255 bytes");
+            fail("the header is truncated, or it contains a name that is longer than 255 bytes");
         const std::string text = file_.substr(at_, end - at_);
         at_ = end + 1;
         return text;
@@ -78,8 +79,7 @@ struct ImageHeader {
 
 void parse_data_window(std::string_view attribute_bytes, ImageHeader& image_header) {
     if (attribute_bytes.size() != 16)
-        fail("the OpenEXR attribute dataWindow (the area of the image) has {} bytes, expected 16 bytes",
-             attribute_bytes.size());
+        fail("attribute 'dataWindow' has {} bytes, expected 16", attribute_bytes.size());
     std::int32_t corner[4];
     std::memcpy(corner, attribute_bytes.data(), sizeof corner);
     image_header.columns = std::int64_t(corner[2]) - corner[0] + 1;
@@ -89,19 +89,14 @@ void parse_data_window(std::string_view attribute_bytes, ImageHeader& image_head
     constexpr std::int32_t kFarthest = 1 << 29;
     for (const std::int32_t c : corner)
         if (c < -kFarthest || c > kFarthest)
-            fail(
-                "the OpenEXR attribute dataWindow (the area of the image) has a corner with the coordinate "
-                "{}, expected a coordinate from {} to {}",
-                c, -kFarthest, kFarthest);
+            fail("attribute 'dataWindow' has the coordinate {}, expected {} to {}", c, -kFarthest, kFarthest);
 }
 
 void parse_compression_method(std::string_view attribute_bytes, ImageHeader& image_header) {
     const std::size_t kind = attribute_bytes.empty()
                                  ? std::size(kRowsAtOnce)
                                  : std::size_t(static_cast<unsigned char>(attribute_bytes[0]));
-    if (kind >= std::size(kRowsAtOnce))
-        throw DataError(
-            "the compression of the image is unknown, expected a compression of the OpenEXR format");
+    if (kind >= std::size(kRowsAtOnce)) fail("the compression of the image is unknown");
     image_header.rows_at_once = kRowsAtOnce[kind];
 }
 
@@ -113,10 +108,8 @@ void parse_channel_list(std::string_view attribute_bytes, ImageHeader& image_hea
         items.read_bytes(8);  // Skips type and linearity, because OpenEXR checks both.
         const std::int32_t x = items.read_int32(), y = items.read_int32();
         if (x != 1 || y != 1)
-            fail(
-                "channel '{}' is subsampled by {} x {}, so it has values for only some pixels; expected a "
-                "value for every pixel",
-                shorten_for_error_message(name), x, y);
+            fail("channel '{}' is subsampled by {} x {}, expected a value for every pixel",
+                 shorten_for_error_message(name), x, y);
         if (std::find(image_header.channels.begin(), image_header.channels.end(), name) !=
             image_header.channels.end())
             fail("channel '{}' occurs twice, expected it once", shorten_for_error_message(name));
@@ -125,37 +118,23 @@ void parse_channel_list(std::string_view attribute_bytes, ImageHeader& image_hea
             fail("the image has too many channels, expected at most {}", kMostChannels);
     }
     if (!items.is_at_end())
-        throw DataError(
-            "the list of channels is shorter than the size that is stored for it, so the file is damaged");
+        fail("the list of channels is shorter than its stored size, so the file is damaged");
 }
 
 /// OpenEXR ignores the stored size, so a wrong size would make it read unchecked data.
 void require_attribute_size_of_type(const std::string& attribute_name, const std::string& attribute_type,
                                     std::string_view attribute_bytes) {
-    static const std::map<std::string_view, std::size_t> kSizes = {{"box2i", 16},
-                                                                   {"box2f", 16},
-                                                                   {"chromaticities", 32},
-                                                                   {"compression", 1},
-                                                                   {"deepImageState", 1},
-                                                                   {"double", 8},
-                                                                   {"envmap", 1},
-                                                                   {"float", 4},
-                                                                   {"int", 4},
-                                                                   {"keycode", 28},
-                                                                   {"lineOrder", 1},
-                                                                   {"m33d", 72},
-                                                                   {"m33f", 36},
-                                                                   {"m44d", 128},
-                                                                   {"m44f", 64},
-                                                                   {"rational", 8},
-                                                                   {"tiledesc", 9},
-                                                                   {"timecode", 8},
-                                                                   {"v2d", 16},
-                                                                   {"v2f", 8},
-                                                                   {"v2i", 8},
-                                                                   {"v3d", 24},
-                                                                   {"v3f", 12},
-                                                                   {"v3i", 12}};
+    static const std::map<std::string, std::size_t> kSizes = [] {
+        std::istringstream text(
+            "box2i 16 box2f 16 chromaticities 32 compression 1 deepImageState 1 double 8 envmap 1 float 4 "
+            "int 4 "
+            "keycode 28 lineOrder 1 m33d 72 m33f 36 m44d 128 m44f 64 rational 8 tiledesc 9 timecode 8 v2d 16 "
+            "v2f 8 v2i 8 v3d 24 v3f 12 v3i 12");
+        std::map<std::string, std::size_t> sizes;
+        std::string type;
+        for (std::size_t size; text >> type >> size;) sizes[type] = size;
+        return sizes;
+    }();
     if (const auto size_entry = kSizes.find(attribute_type);
         size_entry != kSizes.end() && size_entry->second != attribute_bytes.size())
         fail("attribute '{}' of type '{}' has {} bytes, expected {}",
@@ -184,13 +163,8 @@ void read_and_require_magic_and_version(ExrHeaderReader& header_reader) {
     if ((version & kVersionBits) > 2)
         fail("the file has version {} of the format, expected 2", version & kVersionBits);
     if (version & kTiles)
-        throw DataError(
-            "the OpenEXR image is stored in tiles, expected an image that is stored row by row (as scan "
-            "lines)");
-    if (version & kDeep)
-        throw DataError(
-            "the OpenEXR image is a deep image with several values per pixel and channel, expected one value "
-            "per pixel and channel");
+        fail("the OpenEXR image is stored in tiles, expected an image that is stored as scan lines");
+    if (version & kDeep) fail("the OpenEXR image is a deep image, expected one value per pixel and channel");
     if (version & kParts) throw DataError("the file contains several images, expected one");
 }
 
@@ -236,9 +210,8 @@ void require_file_large_enough_for_image(const ImageHeader& image_header, std::s
     // Minimum uncompressed size in bytes, assuming half-precision channels.
     const std::size_t least = std::size_t(unpacked * columns) * image_header.channels.size() * 2;
     if (least > std::max(kAlwaysFits, kMostInflated * file_size_bytes))
-        fail(
-            "the header announces {} x {} pixels with {} channels, which is impossible in a file of {} bytes",
-            rows, columns, image_header.channels.size(), file_size_bytes);
+        fail("{} x {} pixels with {} channels are impossible in a file of {} bytes", rows, columns,
+             image_header.channels.size(), file_size_bytes);
 }
 
 class ExrMemoryReader : public imf::IStream {

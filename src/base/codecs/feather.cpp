@@ -6,7 +6,7 @@
 
 #include <cmath>
 #include <cstring>
-#include <limits>
+#include <utility>
 
 #include <fmt/format.h>
 #include <glm/gtc/packing.hpp>
@@ -66,10 +66,8 @@ Batch read_record_batch(std::string_view file_bytes, const arrow::ArrowFileBlock
         get_byte_range_or_throw(file_bytes, block.offset, block.metadata_bytes, "a message");
     if (std::int64_t(message.size()) < kPrefix ||
         read_little_endian<std::uint32_t>(message, 0) != 0xFFFFFFFFu)
-        fail(
-            "found no block of rows (Arrow record batch) at byte {}, expected a Feather file of Arrow 0.15 "
-            "or later; the file is damaged or older",
-            block.offset);
+        fail("found no record batch at byte {}, expected a Feather file of Arrow 0.15 or later",
+             block.offset);
     const auto n = read_little_endian<std::int32_t>(message, 4);
     return {arrow::parse_record_batch_message(get_byte_range_or_throw(message, kPrefix, n, "a message")),
             get_byte_range_or_throw(file_bytes, block.offset + block.metadata_bytes, block.body_bytes,
@@ -86,10 +84,7 @@ std::string decompress_buffer_of_batch(const Batch& batch, std::size_t buffer_in
     std::int64_t n = std::int64_t(stored.size());
     if (compressed) {
         if (stored.size() < 8)
-            fail(
-                "a block of compressed values has {} bytes, expected at least 8 bytes, so the file is "
-                "damaged",
-                stored.size());
+            fail("a block of compressed values has {} bytes, expected at least 8", stored.size());
         n = read_little_endian<std::int64_t>(stored, 0);
         stored.remove_prefix(8);
         compressed = n != -1;
@@ -107,10 +102,8 @@ std::string decompress_buffer_of_batch(const Batch& batch, std::size_t buffer_in
 std::size_t require_no_nulls_and_get_row_count(const Batch& batch, std::size_t node_index,
                                                std::size_t last_buffer_index) {
     if (node_index >= batch.layout.nodes.size() || last_buffer_index >= batch.layout.buffers.size())
-        fail(
-            "found a record batch with {} columns and {} buffers, which is fewer than the schema of the file "
-            "requires",
-            batch.layout.nodes.size(), batch.layout.buffers.size());
+        fail("a record batch has {} columns and {} buffers, which is fewer than the schema requires",
+             batch.layout.nodes.size(), batch.layout.buffers.size());
     const arrow::ArrowFieldNode& field_node = batch.layout.nodes[node_index];
     if (field_node.length != batch.layout.length)
         fail("the column has {} rows in a record batch of {} rows, expected the same number",
@@ -132,30 +125,18 @@ void append_values_of_column_converted(std::vector<T>& values, const Batch& batc
 template <class T>
 void append_integer_column(std::vector<T>& values, const Batch& batch, const Feather::Column& column,
                            const ArrowField::Type& integer_type) {
-    const auto as = [](auto value) { return T(value); };
-    switch (integer_type.bits) {
-        case 8:
-            return integer_type.is_signed
-                       ? append_values_of_column_converted<std::int8_t>(values, batch, column, as)
-                       : append_values_of_column_converted<std::uint8_t>(values, batch, column, as);
-        case 16:
-            return integer_type.is_signed
-                       ? append_values_of_column_converted<std::int16_t>(values, batch, column, as)
-                       : append_values_of_column_converted<std::uint16_t>(values, batch, column, as);
-        case 32:
-            return integer_type.is_signed
-                       ? append_values_of_column_converted<std::int32_t>(values, batch, column, as)
-                       : append_values_of_column_converted<std::uint32_t>(values, batch, column, as);
-        default:
-            break;
-    }
-    if (integer_type.is_signed)
-        return append_values_of_column_converted<std::int64_t>(values, batch, column, as);
-    append_values_of_column_converted<std::uint64_t>(values, batch, column, [](std::uint64_t value) {
-        if (value > std::uint64_t(std::numeric_limits<std::int64_t>::max()))
-            fail("the integer {} is too large, expected at most 63 bits", value);
+    const auto convert = [](auto value) {
+        if (!std::in_range<std::int64_t>(value)) fail("the integer {} has more than 63 bits", value);
         return T(value);
-    });
+    };
+    const auto append = [&]<class Signed, class Unsigned>(Signed, Unsigned) {
+        if (integer_type.is_signed) append_values_of_column_converted<Signed>(values, batch, column, convert);
+        else append_values_of_column_converted<Unsigned>(values, batch, column, convert);
+    };
+    if (integer_type.bits == 8) append(std::int8_t(), std::uint8_t());
+    else if (integer_type.bits == 16) append(std::int16_t(), std::uint16_t());
+    else if (integer_type.bits == 32) append(std::int32_t(), std::uint32_t());
+    else append(std::int64_t(), std::uint64_t());
 }
 
 void append_float_column(std::vector<double>& values, const Batch& batch, const Feather::Column& column,
@@ -180,10 +161,8 @@ void append_text_column(std::vector<std::string>& values, const Batch& batch, st
     };
     for (std::size_t i = 0; i < n; ++i)
         if (offset(i) < 0 || offset(i + 1) < offset(i))
-            fail(
-                "text {} of the column starts at byte {} and ends at byte {}, expected a start of at least 0 "
-                "and an end that is not before the start",
-                i, offset(i), offset(i + 1));
+            fail("text {} of the column has the bytes {} to {}, expected ascending numbers", i, offset(i),
+                 offset(i + 1));
     if (std::size_t(offset(n)) > max_text_bytes)
         fail("found {} bytes of text, expected at most {}", offset(n), max_text_bytes);
     const std::string characters =
@@ -197,9 +176,8 @@ std::size_t count_rows_of_batches(const std::vector<Batch>& batches, std::size_t
     for (const Batch& batch : batches) {
         const std::int64_t n = batch.layout.length;
         if (n < 0 || std::uint64_t(n) > max_allowed_rows - rows)
-            fail(
-                "found a block of {} rows (Arrow record batch), expected 0 to {} rows in a file of this size",
-                n, max_allowed_rows - rows);
+            fail("a record batch has {} rows, expected at most {} in a file of this size", n,
+                 max_allowed_rows - rows);
         rows += std::size_t(n);
     }
     return rows;
@@ -227,8 +205,7 @@ Feather::Feather(std::string name_for_errors, std::string file_bytes)
             for (const arrow::ArrowFileBlock& block : blocks) {
                 batches.push_back(read_record_batch(bytes_, block));
                 left -= block.metadata_bytes + block.body_bytes;
-                if (left < 0)
-                    throw DataError("the sizes of the record batches add up to more bytes than the file has");
+                if (left < 0) fail("the record batches have more bytes than the file");
             }
         };
         read(footer.dictionaries, dictionaries_);

@@ -86,7 +86,7 @@ std::string make_safetensors_header(const std::vector<NamedArray>& arrays,
     // Pads the header, so that the data starts at a multiple of 8 bytes.
     text.resize((text.size() + 7) / 8 * 8, ' ');
     if (text.size() > kMaxHeader)
-        throw DataError("the header would exceed its limit of 4 MiB; write fewer arrays, or shorter names");
+        fail("the header would exceed its limit of 4 MiB; write fewer arrays, or shorter names");
     return text;
 }
 
@@ -134,18 +134,15 @@ SafetensorsHeader parse_safetensors_header(const std::vector<std::byte>& file_by
 std::vector<std::size_t> parse_integer_list(const std::string& array_name_for_errors, const Json& array_json,
                                             const char* member_name) {
     if (!array_json.is_object() || !array_json.contains(member_name) || !array_json[member_name].is_array())
-        fail("array '{}': the list '{}' is missing in the header of the file, expected a list of integers",
-             array_name_for_errors, member_name);
+        fail("array '{}': the header has no list of integers '{}'", array_name_for_errors, member_name);
     if (array_json[member_name].size() > kMaxDimensions)
         fail("array '{}': '{}' contains {} numbers, expected at most {}", array_name_for_errors, member_name,
              array_json[member_name].size(), kMaxDimensions);
     std::vector<std::size_t> result;
     for (const Json& value : array_json[member_name]) {
         if (!value.is_number_unsigned())
-            fail(
-                "array '{}': the list '{}' in the header of the file contains a value of type {}, expected "
-                "only integers of at least 0",
-                array_name_for_errors, member_name, value.type_name());
+            fail("array '{}': '{}' contains a {}, expected integers of at least 0", array_name_for_errors,
+                 member_name, value.type_name());
         result.push_back(value.get<std::size_t>());
     }
     return result;
@@ -159,10 +156,7 @@ std::pair<NamedArray, DataByteRange> parse_array_description(const std::string& 
                                                              const Json& array_json,
                                                              std::size_t n_data_bytes) {
     if (!array_json.is_object() || !array_json.contains("dtype") || !array_json["dtype"].is_string())
-        fail(
-            "array '{}': the header of the file has no text with the key 'dtype' for this array, expected a "
-            "data type such as 'F32'",
-            array_name);
+        fail("array '{}': the header has no dtype, expected a data type such as 'F32'", array_name);
     NamedArray array{array_name,
                      convert_safetensors_to_numpy_type(array_name, array_json["dtype"].get<std::string>()),
                      parse_integer_list(array_name, array_json, "shape"),
@@ -207,10 +201,8 @@ std::vector<NamedArray> parse_safetensors_file(const std::vector<std::byte>& fil
     std::vector<NamedArray> arrays;
     for (auto& [array, range] : entries) {
         if (range.begin != covered)
-            fail(
-                "array '{}' starts at byte {} of the data, expected byte {}, where the previous array ends; "
-                "gaps and overlaps are not allowed",
-                array.name, range.begin, covered);
+            fail("array '{}' starts at byte {} of the data, expected byte {}, where the previous array ends",
+                 array.name, range.begin, covered);
         const auto data = file_bytes.begin() + std::ptrdiff_t(header.data_start);
         array.bytes.assign(data + std::ptrdiff_t(range.begin), data + std::ptrdiff_t(range.end));
         covered = range.end;
