@@ -48,15 +48,11 @@ void require_toml_nesting_within_limit(std::string_view toml_text, const std::st
         if (c == '{' || c == '[') ++depth;
         if (c == '}' || c == ']') depth = std::max(depth - 1, 0);
         if (parts > kMostParts)
-            fail(
-                "{}:{}: found a key with more than {} parts, expected keys with two parts such as "
-                "train.iterations",
-                file_name, line, kMostParts);
+            fail("{}:{}: found a key with more than {} parts, expected two, such as train.iterations",
+                 file_name, line, kMostParts);
         if (depth > kDeepest)
-            fail(
-                "{}:{}: found more than {} brackets inside each other, expected at most {}; a closing "
-                "bracket may be missing",
-                file_name, line, kDeepest, kDeepest);
+            fail("{}:{}: found more than {} nested brackets; a closing bracket may be missing", file_name,
+                 line, kDeepest);
         line += c == '\n';
         ++at;
     }

@@ -12,6 +12,7 @@
 
 #include <relidar/base/error.hpp>
 #include <relidar/gpu/out_of_memory.hpp>
+#include "base/fail.hpp"
 
 #include "gpu/transfers.hpp"
 
@@ -24,21 +25,20 @@ double bytes_to_mib(std::uint64_t bytes) { return double(bytes) / 1048576.0; }
 [[noreturn]] void throw_allocation_error(const Device::Impl& device, std::size_t size,
                                          const std::string& description, const std::string& cause,
                                          const gpu::MemoryBudget& budget) {
-    throw OutOfDeviceMemory(
-        fmt::format("cannot allocate {:.1f} MiB for {} on {}: {}; relidar uses {:.1f} MiB, and {:.1f} MiB of "
-                    "the memory budget of {:.1f} MiB are free; use fewer frames or a device with more memory",
-                    bytes_to_mib(size), description, device.info.name, cause, bytes_to_mib(device.allocated),
-                    bytes_to_mib(budget.get_free_device_memory_bytes()), bytes_to_mib(budget.n_bytes)));
+    fail<OutOfDeviceMemory>(
+        "cannot allocate {:.1f} MiB for {} on {}: {}; relidar uses {:.1f} MiB, and {:.1f} MiB of "
+        "the memory budget of {:.1f} MiB are free; use fewer frames or a device with more memory",
+        bytes_to_mib(size), description, device.info.name, cause, bytes_to_mib(device.allocated),
+        bytes_to_mib(budget.get_free_device_memory_bytes()), bytes_to_mib(budget.n_bytes));
 }
 
 void throw_if_buffer_too_large(const Device::Impl& device, std::size_t size_bytes,
                                const std::string& description) {
     const auto& [limit, name] = device.largest_buffer;
     if (size_bytes <= limit) return;
-    throw OutOfDeviceMemory(
-        fmt::format("cannot allocate {:.1f} MiB for {} on {}: the array is larger than {} = {:.1f} MiB, the "
-                    "limit of the driver",
-                    bytes_to_mib(size_bytes), description, device.info.name, name, bytes_to_mib(limit)));
+    fail<OutOfDeviceMemory>(
+        "cannot allocate {:.1f} MiB for {} on {}: the driver allows at most {:.1f} MiB ({})",
+        bytes_to_mib(size_bytes), description, device.info.name, bytes_to_mib(limit), name);
 }
 
 /// Checks that an array fits into the memory limit of the user and into the memory budget
@@ -47,11 +47,11 @@ void throw_if_over_memory_budget(const Device::Impl& device, std::size_t size_by
                                  const std::string& description) {
     constexpr std::size_t kLarge = gpu::DeviceMemoryAllocator::kBlockBytes / 2;
     if (device.memory_limit_bytes != 0 && device.allocated + size_bytes > device.memory_limit_bytes)
-        throw OutOfDeviceMemory(
-            fmt::format("cannot allocate {:.1f} MiB for {}: relidar uses {:.1f} MiB, and its memory limit is "
-                        "{:.1f} MiB (environment variable RELIDAR_MEMORY_LIMIT_MIB)",
-                        bytes_to_mib(size_bytes), description, bytes_to_mib(device.allocated),
-                        bytes_to_mib(device.memory_limit_bytes)));
+        fail<OutOfDeviceMemory>(
+            "cannot allocate {:.1f} MiB for {}: relidar uses {:.1f} MiB, and its memory limit is "
+            "{:.1f} MiB (environment variable RELIDAR_MEMORY_LIMIT_MIB)",
+            bytes_to_mib(size_bytes), description, bytes_to_mib(device.allocated),
+            bytes_to_mib(device.memory_limit_bytes));
     if (size_bytes < kLarge) return;
     gpu::MemoryBudget budget = gpu::query_memory_budget(device.physical);
     // Without VK_EXT_memory_budget, the driver does not report the used memory, so n_used

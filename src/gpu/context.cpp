@@ -196,14 +196,11 @@ void throw_if_backend_unsupported(const DeviceInfo& info, RayTracingBackend requ
         fail<DeviceError>("cannot open device {} ({}): it lacks these required features: {}", info.index,
                           info.name, info.why_not_usable);
     if (requested_backend == RayTracingBackend::ray_query && !info.ray_query)
-        fail<DeviceError>(
-            "cannot open device {} ({}) with ray query: it lacks these required features: {}; use "
-            "--traversal auto",
-            info.index, info.name, info.why_not_ray_query);
+        fail<DeviceError>("cannot open device {} ({}) with ray query: it lacks {}; use --traversal auto",
+                          info.index, info.name, info.why_not_ray_query);
     if (requested_backend == RayTracingBackend::software && !info.software)
         fail<DeviceError>(
-            "cannot open device {} ({}) with software traversal: it lacks these required features: {}; use "
-            "--traversal auto",
+            "cannot open device {} ({}) with software traversal: it lacks {}; use --traversal auto",
             info.index, info.name, info.why_not_software);
     // SwiftShader cannot run the tracing kernels. It is accepted anyway, because tests
     // run all other kernels on it.
@@ -211,8 +208,7 @@ void throw_if_backend_unsupported(const DeviceInfo& info, RayTracingBackend requ
     if (requested_backend == RayTracingBackend::automatic &&
         choose_best_ray_tracing_backend(info) == RayTracingBackend::automatic && !runs_the_rest)
         fail<DeviceError>(
-            "cannot open device {} ({}): for ray query it lacks {}, and for software traversal it lacks {}; "
-            "expected support for one of the two",
+            "cannot open device {} ({}): for ray query it lacks {}, and for software traversal {}",
             info.index, info.name, info.why_not_ray_query, info.why_not_software);
 }
 

@@ -24,10 +24,8 @@ namespace {
 std::span<const std::uint32_t> get_embedded_kernel_spirv(std::string_view kernel_name) {
     for (const EmbeddedKernel& kernel : embedded_kernels())
         if (kernel.name == kernel_name) return kernel.words;
-    throw Error(
-        ExitCode::bug,
-        fmt::format("cannot create kernel {}: it is not embedded in this build; add it to src/CMakeLists.txt",
-                    kernel_name));
+    throw Error(ExitCode::bug,
+                fmt::format("cannot create kernel {}: src/CMakeLists.txt does not list it", kernel_name));
 }
 
 /// Kernels that need reconvergence of lanes. They use subgroup operations in branches, or
@@ -299,10 +297,8 @@ std::string list_missing_neural_network_features(const Device& device) {
 KernelVariant choose_atomic_float_add_kernel_variant(const Device& device,
                                                      const KernelVariant& base_variant) {
     if (device.impl().wrong_sums)
-        fail<DeviceError>(
-            "cannot add gradients on {}: the device computes wrong sums of floating-point numbers; `relidar "
-            "check` shows details",
-            device.info().name);
+        fail<DeviceError>("cannot add gradients on {}: it computes wrong sums of floats (`relidar check`)",
+                          device.info().name);
     return KernelVariant(base_variant.suffix + (device.info().float_atomics ? "_atomics" : "_swap"));
 }
 

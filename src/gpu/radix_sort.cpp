@@ -37,14 +37,12 @@ RadixSort::RadixSort(Device& device, std::uint32_t max_keys, std::uint32_t words
       counts_(device, RELIDAR_SORT_DIGITS * count_tiles(max_keys), "sort counts"),
       totals_(device, RELIDAR_SORT_DIGITS, "sort totals") {
     if (const int lanes = device.info().subgroup_size; lanes < 4 || lanes > 64)
-        fail<DeviceError>(
-            "cannot sort on the device {}: it has subgroups of {} lanes, expected 4 to 64 lanes; use another "
-            "device",
-            device.info().name, lanes);
+        fail<DeviceError>("cannot sort on the device {}: it has subgroups of {} lanes, expected 4 to 64",
+                          device.info().name, lanes);
     if (!device.info().can_require_subgroup_size)
         fail<DeviceError>(
-            "cannot sort on the device {}: the size of its subgroups varies, and it lacks the Vulkan "
-            "features subgroupSizeControl and computeFullSubgroups; update the driver or use another device",
+            "cannot sort on the device {}: the size of its subgroups varies, and it lacks "
+            "subgroupSizeControl or computeFullSubgroups",
             device.info().name);
 }
 

@@ -32,11 +32,9 @@ void ReadbackBuffer::record_copy_to_host(Stream& stream, const Buffer& source, s
                                          std::size_t offset_bytes) {
     Impl& r = *impl_;
     if (n_bytes > r.host->n_bytes || offset_bytes + n_bytes > source.size_bytes())
-        throw Error(
-            ExitCode::bug,
-            fmt::format("cannot read back {}: requested bytes {} to {}, but the device buffer has {} bytes, "
-                        "and a copy can have at most {} bytes",
-                        r.what, offset_bytes, offset_bytes + n_bytes, source.size_bytes(), r.host->n_bytes));
+        throw Error(ExitCode::bug,
+                    fmt::format("cannot read back {}: bytes {} to {} of {}, at most {} at once", r.what,
+                                offset_bytes, offset_bytes + n_bytes, source.size_bytes(), r.host->n_bytes));
     stream.impl().record_copy_to_host(source.impl(), r.host, {offset_bytes, 0, n_bytes});
     r.ticket = stream.impl().last_ticket + 1;
     r.pending = true;

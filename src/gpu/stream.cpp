@@ -392,8 +392,7 @@ ConcurrentSequenceScope::ConcurrentSequenceScope(Stream& stream, std::size_t cou
     if (count == 0 || !s.lanes.empty() || s.n_concurrent > 0)
         throw Error(
             ExitCode::bug,
-            fmt::format("cannot open a ConcurrentSequenceScope with {} lanes: expected at least one lane, "
-                        "and no open ConcurrentSequenceScope or ConcurrentLaunchScope on the stream",
+            fmt::format("cannot open {} lanes: expected at least one, and no open scope on the stream",
                         count));
     s.lanes.resize(count);
     s.lane = 0;
@@ -411,8 +410,7 @@ void ConcurrentSequenceScope::select_command_sequence(std::size_t sequence_index
     Stream::Impl& s = stream_.impl();
     if (sequence_index >= s.lanes.size() || s.n_concurrent > 0)
         throw Error(ExitCode::bug,
-                    fmt::format("cannot select the lane with index {}: expected an index below {}, the "
-                                "number of lanes, and no open ConcurrentLaunchScope",
+                    fmt::format("cannot select lane {} of {}, or a ConcurrentLaunchScope is open",
                                 sequence_index, s.lanes.size()));
     s.lane = sequence_index;
 }

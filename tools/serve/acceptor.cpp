@@ -20,6 +20,7 @@
 #include <fmt/format.h>
 
 #include <relidar/base/error.hpp>
+#include "base/fail.hpp"
 
 #include "../network/host_port.hpp"
 
@@ -34,8 +35,7 @@ constexpr int kMostDescriptors = 16384;
 constexpr int kReservedDescriptors = 256;
 
 [[noreturn]] void throw_listen_error(const std::string& address, const std::string& reason) {
-    throw UsageError(
-        fmt::format("cannot listen at {}: {}; use a free HOST:PORT of this machine", address, reason));
+    fail<UsageError>("cannot listen at {}: {}; use a free HOST:PORT of this machine", address, reason);
 }
 
 struct FreeAddresses {

@@ -171,8 +171,7 @@ void write_recorded_tracks(const TrainedRun& run, int lidar_index,
         const BoxTrack* box = find_box_track_by_id(run.sequence, name);
         if (!box)
             refuse(grpc::StatusCode::NOT_FOUND,
-                   "cannot read actors: found {}, expected the name of an actor "
-                   "of the log; ListScenes lists these names",
+                   "cannot read actors: found {}, expected an actor that ListScenes lists",
                    shorten_and_quote_client_text(name));
         v1::ActorTrack& track = *message.add_actors();
         track.set_name(name);

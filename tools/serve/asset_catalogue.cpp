@@ -6,6 +6,7 @@
 #include <fmt/format.h>
 
 #include <relidar/base/error.hpp>
+#include "base/fail.hpp"
 
 namespace relidar::serve {
 
@@ -14,9 +15,9 @@ AssetCatalogue::AssetCatalogue(const std::vector<std::string>& folders) {
         for (const std::filesystem::path& entry : list_asset_folders(folder)) {
             AssetDescription facts = read_asset_description(entry);
             if (const CatalogueEntry* same = find_asset(facts.name))
-                throw UsageError(fmt::format(
+                fail<UsageError>(
                     "cannot serve the assets of {}: the asset {} is also in {}, expected different names",
-                    folder, facts.name, same->folder.parent_path().string()));
+                    folder, facts.name, same->folder.parent_path().string());
             entries_.push_back({entry, std::move(facts)});
         }
     }

@@ -7,6 +7,7 @@
 #include <grpcpp/support/channel_arguments.h>
 
 #include <relidar/base/error.hpp>
+#include "base/fail.hpp"
 
 namespace relidar::serve {
 
@@ -25,8 +26,8 @@ ScanClient::ScanClient(std::string address)
 
 void ScanClient::throw_if_call_failed(const grpc::Status& status) const {
     if (status.ok()) return;
-    throw DataError(fmt::format("the service at {} returned status {}: {}", address_,
-                                int(status.error_code()), status.error_message()));
+    fail("the service at {} returned status {}: {}", address_, int(status.error_code()),
+         status.error_message());
 }
 
 v1::ListScenesResponse ScanClient::list_scenes() {

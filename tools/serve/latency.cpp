@@ -13,6 +13,7 @@
 #include <fmt/format.h>
 
 #include <relidar/base/error.hpp>
+#include "base/fail.hpp"
 
 #include "client.hpp"
 
@@ -66,8 +67,7 @@ LatencyResult measure_latency(const LatencyOptions& options) {
     ScanClient first(options.address);
     const v1::ListScenesResponse scenes = first.list_scenes();
     if (scenes.scenes().empty())
-        throw DataError(
-            fmt::format("the service at {} serves no scene, expected at least one", options.address));
+        fail("the service at {} serves no scene, expected at least one", options.address);
     LatencyResult result;
     result.scene = options.scene.empty() ? scenes.scenes(0).name() : options.scene;
     v1::GetTracksRequest which;

@@ -37,11 +37,10 @@ bool is_time_far_before_or_after_path(double time_s, const PoseTrack& sensor_pat
 double require_time_near_path(double time_s, const PoseTrack& sensor_path, const std::string& field_name) {
     require_time_within_limit(time_s, field_name);
     if (is_time_far_before_or_after_path(time_s, sensor_path))
-        throw_invalid_field(
-            field_name,
-            fmt::format("{} s, but the path covers {} to {} s", time_s, sensor_path.time_s.front(),
-                        sensor_path.time_s.back()),
-            fmt::format("a time in seconds on the path, or at most {} s before or after it", kBeyondPath_s));
+        throw_invalid_field(field_name,
+                            fmt::format("{} s, but the path covers {} to {} s", time_s,
+                                        sensor_path.time_s.front(), sensor_path.time_s.back()),
+                            fmt::format("a time at most {} s away from the path", kBeyondPath_s));
     return time_s;
 }
 
@@ -61,12 +60,10 @@ std::vector<RequestedActor> read_requested_actor_poses(const v1::ActorTracks& me
                           read_track(message.actors(i).poses(), field + ".poses")});
         const PoseTrack& track = wishes.back().dataset_from_actor;
         if (is_time_far_before_or_after_path(scan_time_s, track))
-            throw_invalid_field(
-                field + ".poses",
-                fmt::format("poses from {} to {} s, which do not cover the scan at {} s",
-                            track.time_s.front(), track.time_s.back(), scan_time_s),
-                fmt::format("poses that cover the time of the scan, or that are at most {} s away from it",
-                            kBeyondPath_s));
+            throw_invalid_field(field + ".poses",
+                                fmt::format("poses from {} to {} s for a scan at {} s", track.time_s.front(),
+                                            track.time_s.back(), scan_time_s),
+                                fmt::format("poses at most {} s away from the scan", kBeyondPath_s));
     }
     return wishes;
 }
@@ -159,9 +156,8 @@ std::shared_ptr<const SimulatedSensor> RequestReader::find_requested_sensor(cons
         sensor = uploaded_.find_cached_sensor(request.sensor.handle());
         if (!sensor)
             refuse(grpc::StatusCode::NOT_FOUND,
-                   "cannot read {}.handle: found {}, which is unknown or expired, expected a handle "
-                   "from UploadSensor; upload the sensor again",
-                   request.field, shorten_and_quote_client_text(request.sensor.handle()));
+                   "cannot read {}.handle: {} is unknown or expired; upload the sensor again", request.field,
+                   shorten_and_quote_client_text(request.sensor.handle()));
     } else {
         sensor = find_built_in_sensor(request.sensor.name(), scene_index, lidar_index);
     }

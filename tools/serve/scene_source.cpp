@@ -7,6 +7,7 @@
 
 #include <relidar/base/error.hpp>
 #include <relidar/run/run.hpp>
+#include "base/fail.hpp"
 
 namespace relidar::serve {
 namespace {
@@ -39,13 +40,10 @@ std::vector<SceneSource> parse_named_run_folders(const std::vector<std::string>&
         const SceneSource& added = sources.back();
         const auto same = std::find_if(sources.begin(), sources.end() - 1,
                                        [&](const SceneSource& s) { return s.name == added.name; });
-        if (added.name.empty())
-            throw UsageError(fmt::format("cannot serve {}: it has no name, expected NAME=RUN", word));
+        if (added.name.empty()) fail<UsageError>("cannot serve {}: it has no name, expected NAME=RUN", word);
         if (same != sources.end() - 1)
-            throw UsageError(
-                fmt::format("cannot serve {} and {}: both have the name \"{}\"; use NAME=RUN to give one of "
-                            "them another name",
-                            same->folder.string(), folder, added.name));
+            fail<UsageError>("cannot serve {} and {}: both have the name \"{}\"; use NAME=RUN",
+                             same->folder.string(), folder, added.name);
     }
     return sources;
 }

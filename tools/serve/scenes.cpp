@@ -7,6 +7,7 @@
 
 #include <relidar/base/error.hpp>
 #include <relidar/gpu/out_of_memory.hpp>
+#include "base/fail.hpp"
 
 #include "refusal.hpp"
 
@@ -33,10 +34,10 @@ SceneSet::SceneSet(Device& device, std::vector<SceneSource> sources, std::uint64
         run.drop_network = {};
         outlines_.push_back(std::move(run));
         if (loaded_[i].bytes > memory_bytes_)
-            throw DataError(fmt::format(
+            fail(
                 "cannot serve {}: it needs {:.1f} MiB of device memory, expected at most {:.1f} MiB "
                 "(--memory-mib)",
-                sources_[i].folder.string(), double(loaded_[i].bytes) / kMiB, double(memory_bytes_) / kMiB));
+                sources_[i].folder.string(), double(loaded_[i].bytes) / kMiB, double(memory_bytes_) / kMiB);
         unload_scenes_until_memory_suffices(i, 0);
     }
 }
@@ -62,9 +63,9 @@ SceneSet::SceneLoadNumber SceneSet::load_scene_and_call_with_renderer(
 void SceneSet::call_if_scene_was_not_reloaded(std::size_t scene_index, SceneLoadNumber expected_load_number,
                                               const std::function<void(ScanRenderer&)>& use_renderer) {
     if (!loaded_[scene_index].renderer || loaded_[scene_index].load != expected_load_number)
-        throw DeviceError(fmt::format(
+        fail<DeviceError>(
             "cannot render a scan of {}: the scene was unloaded for a later request; send your request again",
-            sources_[scene_index].name));
+            sources_[scene_index].name);
     call_with_renderer(scene_index, use_renderer);
 }
 
@@ -148,8 +149,7 @@ std::vector<SpawnedActorRegistry::SpawnSlot> SceneSet::spawn_actors(std::size_t 
     const double needed_mib = double(loaded.bytes) / kMiB;
     undo();
     refuse(grpc::StatusCode::RESOURCE_EXHAUSTED,
-           "cannot spawn {} actors: the scene would need {:.1f} MiB of device memory with them, "
-           "expected at most {:.1f} MiB (--memory-mib of the server)",
+           "cannot spawn {} actors: the scene would need {:.1f} MiB, expected at most {:.1f} (--memory-mib)",
            actors.size(), needed_mib, double(memory_bytes_) / kMiB);
 }
 

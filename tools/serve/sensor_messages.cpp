@@ -91,7 +91,7 @@ RayTable read_ray_table_message(const v1::RayTable& message, const std::string& 
         throw_invalid_field(
             field_name,
             fmt::format("{} rows, {} columns and {} directions", message.rows(), message.columns(), n),
-            "one direction for each combination of row and column");
+            "rows * columns directions");
     require_allowed_row_count(field_name, message.rows());
     RayTable rays;
     rays.rows = has_order ? int(message.rows()) : 1;
@@ -134,7 +134,7 @@ SpinningSensor read_spinning_sensor(const v1::SpinningSensor& message, const std
         throw_invalid_field(field_name + ".beams",
                             fmt::format("a first beam at {} rad and a last beam at {} rad",
                                         beams.front().elevation_rad, beams.back().elevation_rad),
-                            "beams from the highest to the lowest, because row 0 of an image is the highest");
+                            "the highest beam first");
     sensor.columns = int(message.columns());
     sensor.period_s = NumberReader{field_name}("period_s", message.period_s(), 1e-4, kLongestScan_s);
     sensor.clockwise = !message.counter_clockwise();

@@ -52,8 +52,7 @@ void write_track(const PoseTrack& track, PoseTransformOrder pose_order, sensorsi
     for (std::size_t i = 0; i < track.pose.size(); ++i) {
         if (!(track.time_s[i] >= 0.0))
             refuse(grpc::StatusCode::FAILED_PRECONDITION,
-                   "cannot write a trajectory: found a pose at {} s, expected times of at least 0, "
-                   "because the message format has no negative times",
+                   "cannot write a trajectory: found the time {} s, but messages have no negative times",
                    track.time_s[i]);
         sensorsim::PoseAtTime& pose = *message.add_poses();
         write_pose(track.pose[i], pose_order, *pose.mutable_pose());

@@ -22,9 +22,7 @@ constexpr int kMostScans = 64;
 [[noreturn]] void throw_camera_image_unsupported(const std::string& rpc_name,
                                                  const std::string& found_request) {
     refuse(grpc::StatusCode::UNIMPLEMENTED,
-           "cannot answer {}: found {}, expected only requests for LiDAR scans "
-           "(render_lidar), because relidar renders no camera images",
-           rpc_name, found_request);
+           "cannot answer {}: found {}, expected LiDAR scans only (render_lidar)", rpc_name, found_request);
 }
 
 // Packages of the service. NuRec used the first name until version 26.09 and has used the

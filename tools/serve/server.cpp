@@ -16,6 +16,7 @@
 #include <grpcpp/resource_quota.h>
 
 #include <relidar/base/error.hpp>
+#include "base/fail.hpp"
 
 #include "acceptor.hpp"
 #include "asset_catalogue.hpp"
@@ -45,8 +46,7 @@ std::string read_pem_file(const std::string& file_path) {
     std::ifstream in(file_path, std::ios::binary);
     std::string text((std::istreambuf_iterator<char>(in)), std::istreambuf_iterator<char>());
     if (text.find("-----BEGIN") == std::string::npos)
-        throw DataError(fmt::format(
-            "cannot read {}: it contains no PEM data, expected a certificate or a key", file_path));
+        fail("cannot read {}: it contains no PEM data, expected a certificate or a key", file_path);
     return text;
 }
 
@@ -120,9 +120,8 @@ void ScanServer::Impl::start_listening(const ServerOptions& options) {
     if (sensorsim) sensorsim->register_services(builder);
     server = builder.BuildAndStart();
     if (!server)
-        throw UsageError(
-            fmt::format("cannot listen at {}: the gRPC server does not start{}", options.listen,
-                        options.tls_cert.empty() ? "" : ", expected a certificate that matches its key"));
+        fail<UsageError>("cannot listen at {}: the gRPC server does not start{}", options.listen,
+                         options.tls_cert.empty() ? "" : ", expected a certificate that matches its key");
     set_health_status(true);
     acceptor->start_accepting([this](int listener, int connection) {
         grpc::experimental::ExternalConnectionAcceptor::NewConnectionParameters accepted;

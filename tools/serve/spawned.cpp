@@ -7,6 +7,7 @@
 #include <fmt/format.h>
 
 #include <relidar/base/error.hpp>
+#include "base/fail.hpp"
 
 #include "asset_catalogue.hpp"
 #include "refusal.hpp"
@@ -47,7 +48,7 @@ std::size_t find_or_add_free_slot(SpawnedActorSlots& slots, const ActorToSpawn& 
 std::uint32_t get_model_index_of_actor(const Scene& scene, const std::string& track_name) {
     const auto instance = std::ranges::find(scene.instances, track_name, &ModelInstance::track);
     if (instance == scene.instances.end())
-        throw DataError(fmt::format("cannot spawn {}: the run no longer has this actor", track_name));
+        fail("cannot spawn {}: the run no longer has this actor", track_name);
     return instance->model;
 }
 

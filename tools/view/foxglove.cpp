@@ -8,6 +8,7 @@
 #include <nlohmann/json.hpp>
 
 #include <relidar/base/error.hpp>
+#include "base/fail.hpp"
 
 namespace relidar::view {
 namespace {
@@ -58,23 +59,22 @@ std::string make_topic_advertisement_json(const std::vector<ScanTopic>& topics) 
 const Json& get_required_list(const Json& message, const char* member_name) {
     const auto list = message.find(member_name);
     if (list == message.end() || !list->is_array())
-        throw UsageError(
-            fmt::format("cannot read the message: expected a list in the field \"{}\"", member_name));
+        fail<UsageError>("cannot read the message: expected a list in the field \"{}\"", member_name);
     return *list;
 }
 
 std::uint32_t require_uint32(const Json& value, const char* name_for_errors) {
     if (!value.is_number_unsigned() || value.get<std::uint64_t>() > std::numeric_limits<std::uint32_t>::max())
-        throw UsageError(
-            fmt::format("cannot read the message: expected an integer from 0 to 2^32 - 1 in the field \"{}\"",
-                        name_for_errors));
+        fail<UsageError>(
+            "cannot read the message: expected an integer from 0 to 2^32 - 1 in the field \"{}\"",
+            name_for_errors);
     return value.get<std::uint32_t>();
 }
 
 std::uint32_t get_required_uint32_member(const Json& object, const char* member_name) {
     const auto member = object.find(member_name);
     if (member == object.end())
-        throw UsageError(fmt::format("cannot read the message: the field \"{}\" is missing", member_name));
+        fail<UsageError>("cannot read the message: the field \"{}\" is missing", member_name);
     return require_uint32(*member, member_name);
 }
 
@@ -126,14 +126,13 @@ void FoxglovePlayer::subscribe_or_unsubscribe_by_message(Client& client,
                                 topic = get_required_uint32_member(request, "channelId");
             const auto is_of_topic = [&](const auto& known) { return known.second == topic; };
             if (topic >= topics_.size())
-                throw UsageError(
-                    fmt::format("cannot subscribe: found channelId {}, expected a number from 0 to {}", topic,
-                                topics_.size() - 1));
+                fail<UsageError>("cannot subscribe: found channelId {}, expected a number from 0 to {}",
+                                 topic, topics_.size() - 1);
             if (client.subscriptions.contains(id) || std::ranges::any_of(client.subscriptions, is_of_topic))
-                throw UsageError(fmt::format(
-                    "cannot add subscription {} to channel {}: this subscription id is already in use, or "
-                    "the client has already subscribed to the channel; unsubscribe first",
-                    id, topic));
+                fail<UsageError>(
+                    "cannot add subscription {} to channel {}: one of them is already in use; unsubscribe "
+                    "first",
+                    id, topic);
             client.subscriptions.emplace(id, topic);
         }
     } else if (operation != message.end() && *operation == "unsubscribe") {

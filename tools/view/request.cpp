@@ -8,6 +8,7 @@
 #include <nlohmann/json.hpp>
 
 #include <relidar/base/error.hpp>
+#include "base/fail.hpp"
 
 namespace relidar::view {
 namespace {
@@ -27,8 +28,7 @@ constexpr std::size_t kMaxName = 64;
 constexpr std::size_t kMaxRunName = 1024;
 
 [[noreturn]] void throw_request_error(const std::string& description, const std::string& expected) {
-    throw UsageError(
-        fmt::format("cannot read the field \"{}\" of the request: expected {}", description, expected));
+    fail<UsageError>("cannot read the field \"{}\" of the request: expected {}", description, expected);
 }
 
 const Json& get_required_member(const Json& object, const char* member_name) {
@@ -165,9 +165,9 @@ BrowserRequest parse_browser_request(const std::string& request_json_text) {
             read_nonempty_text(get_required_member(json, "of"), "of"),
             read_run_name_or_empty(get_required_member(json, "from")),
             read_number_array<2>(get_required_member(json, "at"), "at", {kFarAway_m, kFarAway_m})};
-    throw UsageError(fmt::format(
+    fail<UsageError>(
         "cannot read the field \"do\" of the request: found \"{}\", expected scan, sensor, ground or save",
-        kind));
+        kind);
 }
 
 }  // namespace relidar::view

@@ -13,6 +13,7 @@
 #include <relidar/base/error.hpp>
 #include <relidar/log/sensor_files.hpp>
 #include <relidar/run/edit.hpp>
+#include "base/fail.hpp"
 
 #include "frame.hpp"
 
@@ -81,10 +82,9 @@ private:
 
 void require_ray_count_within_viewer_limit(const SimulatedSensor& sensor) {
     if (sensor.rays.size() > kMaxRays)
-        throw UsageError(
-            fmt::format("cannot show the sensor {}: found {} rays per scan, expected at most {}; use "
-                        "`relidar render` for this sensor",
-                        sensor.name, sensor.rays.size(), kMaxRays));
+        fail<UsageError>(
+            "cannot show the sensor {}: found {} rays per scan, expected at most {}; use `relidar render`",
+            sensor.name, sensor.rays.size(), kMaxRays);
 }
 
 Json make_channels_json(const Config& config) {
@@ -144,8 +144,8 @@ Json BrowserScanRenderer::make_initial_page_data_json() const {
 SimulatedSensor BrowserScanRenderer::make_sensor_for_tab(TabCache& tab_cache,
                                                          const LiveScanRequest& request) const {
     if (request.lidar < 0 || std::size_t(request.lidar) >= run_.sequence.lidars.size())
-        throw UsageError(fmt::format("cannot select a LiDAR: found the index {}, but the log has {} LiDARs",
-                                     request.lidar, run_.sequence.lidars.size()));
+        fail<UsageError>("cannot select a LiDAR: found the index {}, but the log has {} LiDARs",
+                         request.lidar, run_.sequence.lidars.size());
     if (request.sensor == kFileSensor) {
         if (!tab_cache.file_sensor)
             throw UsageError("cannot use a sensor file: none is loaded; choose a file first");
@@ -159,8 +159,8 @@ SimulatedSensor BrowserScanRenderer::make_sensor_for_tab(TabCache& tab_cache,
         // of the server.
         const std::vector<std::string> names = list_native_and_built_in_sensor_names();
         if (std::find(names.begin(), names.end(), request.sensor) == names.end())
-            throw UsageError(fmt::format("unknown sensor \"{}\"; expected a name from the list of sensors",
-                                         request.sensor));
+            fail<UsageError>("unknown sensor \"{}\"; expected a name from the list of sensors",
+                             request.sensor);
         tab_cache.sensor.emplace(
             key, find_or_load_sensor(request.sensor, run_.config, run_.sequence, request.lidar));
         require_ray_count_within_viewer_limit(tab_cache.sensor->second);
@@ -172,15 +172,12 @@ Json BrowserScanRenderer::store_uploaded_sensor_and_describe_it(TabCache& tab_ca
                                                                 const SensorFile& file) const {
     const std::string ending = std::filesystem::path(file.name).extension().string();
     if (ending != ".csv" && ending != ".json")
-        throw UsageError(
-            fmt::format("cannot read {}: expected a file name that ends in .csv or .json", file.name));
+        fail<UsageError>("cannot read {}: expected a file name that ends in .csv or .json", file.name);
     // Does not read the rig, because it can name files of the server.
     const Json json = ending == ".json" ? Json::parse(file.text, nullptr, false) : Json();
     if (json.is_object() && json.contains("sensors"))
-        throw UsageError(fmt::format(
-            "cannot show {}: it describes a rig of several sensors, expected a single sensor; choose the "
-            "file or the name of one of its sensors, or use `relidar render --sensor {}`",
-            file.name, file.name));
+        fail<UsageError>("cannot show {}: it describes a rig of several sensors; choose one of its sensors",
+                         file.name);
     const UploadedFile upload(file.text, ending);
     SimulatedSensor sensor;
     try {

@@ -12,6 +12,7 @@
 #include <boost/asio/steady_timer.hpp>
 
 #include <relidar/base/error.hpp>
+#include "base/fail.hpp"
 
 #include "http_session.hpp"
 #include "hub.hpp"
@@ -32,9 +33,9 @@ boost::asio::ip::address parse_ip_address(const std::string& address_text) {
     ErrorCode failed;
     const auto address = boost::asio::ip::make_address(address_text, failed);
     if (failed)
-        throw UsageError(fmt::format(
+        fail<UsageError>(
             "cannot listen on the address \"{}\", expected an IP address such as 127.0.0.1, 0.0.0.0 or ::1",
-            address_text));
+            address_text);
     return address;
 }
 
@@ -47,9 +48,9 @@ tcp::acceptor open_listening_acceptor(boost::asio::io_context& io_context, const
     if (!failed) acceptor.bind(endpoint, failed);
     if (!failed) acceptor.listen(tcp::acceptor::max_listen_connections, failed);
     if (failed)
-        throw UsageError(fmt::format(
+        fail<UsageError>(
             "cannot listen on port {} of {}: {}; use a free port, or port 0 to select one automatically",
-            options.port, options.address, failed.message()));
+            options.port, options.address, failed.message());
     return acceptor;
 }
 

@@ -5,6 +5,7 @@
 #include <nlohmann/json.hpp>
 
 #include <relidar/base/error.hpp>
+#include "base/fail.hpp"
 
 namespace relidar::view {
 namespace {
@@ -188,8 +189,8 @@ Json ViewerSession::save_edited_run_and_describe_it(const SaveRequest& request) 
     const std::filesystem::path folder = save_folder_ / request.name;
     std::error_code failed;
     if (std::filesystem::exists(std::filesystem::symlink_status(folder, failed)))
-        throw UsageError(fmt::format("cannot save {}: this name already exists in {}; choose another name",
-                                     request.name, save_folder_.string()));
+        fail<UsageError>("cannot save {}: this name already exists in {}; choose another name", request.name,
+                         save_folder_.string());
     run.folder = folder;
     save_run(run);
     return {{"folder", folder.string()}};

@@ -11,6 +11,7 @@
 #include <relidar/run/edit.hpp>
 #include <relidar/run/run.hpp>
 #include <relidar/simulate/assets.hpp>
+#include "base/fail.hpp"
 
 #include "frame.hpp"
 
@@ -46,10 +47,8 @@ SceneWithLog copy_tracks_and_instances(const TrainedRun& run) {
 const TrainedRun& get_other_run_by_name(const std::string& run_name, const OtherRunsByName& other_runs) {
     const auto match = other_runs.find(run_name);
     if (match == other_runs.end())
-        throw UsageError(
-            fmt::format("cannot insert an actor from the run \"{}\": expected a run that was given with "
-                        "`relidar view --insert`",
-                        run_name));
+        fail<UsageError>("cannot insert an actor from \"{}\": expected a run of `relidar view --insert`",
+                         run_name);
     return match->second;
 }
 

@@ -98,10 +98,8 @@ Image apply_colour_map(const std::vector<float>& values, int rows, int columns, 
 
 Image stack_images_vertically(const std::vector<Image>& images, int vertical_scale) {
     if (vertical_scale < 1)
-        fail<UsageError>(
-            "cannot stack images on top of each other: found {} as the factor that stretches their height, "
-            "expected at least 1",
-            vertical_scale);
+        fail<UsageError>("cannot stack images: found the vertical scale {}, expected at least 1",
+                         vertical_scale);
     Image result;
     for (const Image& image : images) {
         if (result.columns == 0) result.columns = image.columns;

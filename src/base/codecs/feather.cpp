@@ -281,10 +281,7 @@ std::vector<std::string> Feather::read_text_column(const std::string& column_nam
         std::size_t length = 0;
         for (const std::int64_t index : indices) {
             if (index < 0 || std::uint64_t(index) >= words.size())
-                fail(
-                    "a row refers to text {} in the list of texts of this column (Arrow dictionary), but the "
-                    "list has only {} texts, counted from 0",
-                    index, words.size());
+                fail("a row refers to text {}, but the dictionary has only {} texts", index, words.size());
             length += words[std::size_t(index)].size();
             if (length > most) fail("found too much text in a column, expected at most {} bytes", most);
             values.push_back(words[std::size_t(index)]);

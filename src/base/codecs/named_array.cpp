@@ -85,10 +85,8 @@ std::vector<Out> require_numeric_and_convert_elements(const NamedArray& array) {
     report_detail::require_valid_array_type_and_size(array);
     const Converter<Out> function = find_element_converter<Out>(array.dtype);
     if (!function)
-        fail(
-            "array '{}' has values of the type '{}', expected numbers, such as values of the type 'f4' "
-            "(32-bit float) or 'i4' (32-bit integer)",
-            array.name, array.dtype);
+        fail("array '{}' has values of the type '{}', expected numbers such as 'f4' or 'i4'", array.name,
+             array.dtype);
     return function(array);
 }
 

@@ -59,17 +59,12 @@ TfRecordReader::TfRecordReader(std::filesystem::path file) : file_(std::move(fil
         if (left < kHeader || !in.read(header.data(), kHeader))
             fail("{} is truncated: its header has {} bytes, expected {}", where, left, kHeader);
         if (read_unaligned_value<std::uint32_t>(&header[8]) != compute_masked_crc32c({header.data(), 8}))
-            fail(
-                "{}: the checksum (CRC) of the length of the record is wrong, so the file is damaged or is "
-                "not a TFRecord file",
-                where);
+            fail("{}: the checksum (CRC) of its length is wrong, so the file is damaged or no TFRecord file",
+                 where);
         const auto size = read_unaligned_value<std::uint64_t>(header.data());
         left -= kHeader;
         if (left < kFooter || size > left - kFooter)
-            fail(
-                "{} is truncated: its length should be {} bytes, followed by {} bytes of checksum, but the "
-                "file has only {} bytes left",
-                where, size, kFooter, left);
+            fail("{} is truncated: expected {} + {} bytes, found {}", where, size, kFooter, left);
         records_.push_back({at + kHeader, size});
         at += kHeader + size + kFooter;
         left -= size + kFooter;
