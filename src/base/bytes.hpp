@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Appends the bytes of values to a string that holds a file or message. Uses the byte
-// order of this machine.
+// Appends the bytes of values to a string, in the byte order of this machine.
 #pragma once
 
 #include <string>

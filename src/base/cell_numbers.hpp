@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Assigns consecutive numbers to the grid cells that contain items, and lists the items
-// of each cell. Runs on all cores.
+// Numbers the grid cells that contain items, in parallel.
 #pragma once
 
 #include <cstdint>

@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads complete files and parses numbers in texts. Every failure to read a file throws a
-// DataError with its path.
+// Reads files and parses numbers in texts. Every failure is a DataError with the path.
 #pragma once
 
 #include <filesystem>

@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Estimates the angle between the rays of a range image and the surface normals, using
-// the points of neighbouring pixels.
+// Angle between the rays of a range image and the surface normals.
 #pragma once
 
 #include <cmath>

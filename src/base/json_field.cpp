@@ -1,6 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads JSON values and checks their types. Error messages contain the value, shortened
-// to one line.
 #include "base/json_field.hpp"
 
 #include <algorithm>

@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Finds the nearest of several points, for example the sensor position nearest to a
-// point.
+// Finds the nearest of several points.
 #pragma once
 
 #include <cstddef>

@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Converts numbers to text for files. The result does not depend on the machine, the
-// locale or library versions.
+// Numbers in files, independent of the machine, the locale and library versions.
 #pragma once
 
 #include <string>

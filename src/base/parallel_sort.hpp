@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Sorts a vector on all threads. This header is separate from parallel.hpp because the
-// oneTBB headers compile slowly.
+// Separate from parallel.hpp, because the oneTBB headers compile slowly.
 #pragma once
 
 #include <vector>

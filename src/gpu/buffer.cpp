@@ -1,7 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Allocates Vulkan buffers from pools of device memory. Checks the size before it calls
-// the driver. Throws an error with the buffer's name if the device does not allow a
-// buffer of this size.
+// Checks the size of a buffer before it calls the driver.
 #include "gpu/buffer.hpp"
 
 #include <algorithm>

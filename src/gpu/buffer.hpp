@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Implements relidar::Buffer with a Vulkan buffer. The same class is used for memory that
-// the host reads or writes.
+// Implements relidar::Buffer. Also used for memory that the host reads or writes.
 #pragma once
 
 #include "gpu/context.hpp"

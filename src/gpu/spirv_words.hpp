@@ -59,8 +59,8 @@ inline const char* read_spirv_string(SpirvInstruction words) {
     return reinterpret_cast<const char*>(words.data());
 }
 
-/// Returns true for the name of the type of a kernel's parameters (RELIDAR_PARAMS). SPIR-V
-/// lists names before decorations and types.
+/// True for the name of the type of a kernel's parameters (RELIDAR_PARAMS). SPIR-V lists
+/// names before decorations and types.
 inline bool is_parameter_block_name(std::uint32_t opcode, SpirvInstruction instruction) {
     return opcode == kOpName && std::string_view(read_spirv_string(instruction.subspan(2))) == "ParamsBlock";
 }

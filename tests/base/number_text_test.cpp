@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests the text form of numbers, which must not depend on libraries or locales. Three
-// other libraries must read the numbers back bit by bit.
+// Three other libraries must read the numbers back bit by bit.
 #include "base/number_text.hpp"
 
 #include <cmath>

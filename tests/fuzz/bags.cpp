@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Fuzzes ROS recordings: full files of each format, and single messages. The seeds are
-// built in this file from the specifications.
+// ROS recordings: full files of each format, and single messages, by the specifications.
 #include "harness.hpp"
 
 #include <algorithm>

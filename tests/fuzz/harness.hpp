@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Declares a libFuzzer harness of a parser: a function that returns the initial inputs,
-// and a function that reads an input.
+// A libFuzzer harness: a function that returns seeds, and one that reads an input.
 #pragma once
 
 #include <filesystem>

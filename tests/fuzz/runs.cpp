@@ -1,7 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Fuzzes the files of a run except its scene: the coverage of the log, the classes of the
-// background, the azimuths of each sweep, the ray-drop network, and the intensity
-// scatter.
+// Fuzzes the files of a run except its scene.
 #include "harness.hpp"
 
 #include <cstdlib>

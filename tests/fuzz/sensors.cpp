@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Fuzzes files of sensors and rigs. The first byte of an input to "sensors" selects the
-// file extension.
+// Sensors and rigs. The first byte of an input to "sensors" selects the extension.
 #include "harness.hpp"
 
 #include <fmt/format.h>

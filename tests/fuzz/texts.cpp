@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Fuzzes text files: settings, scenes, streets, beam tables and trajectories. The harness
-// "toml" builds its text from tokens, so that most inputs are valid TOML.
+// Text files. The harness "toml" builds its text from tokens, so that most are valid.
 #include "harness.hpp"
 
 #include <fmt/format.h>

@@ -1,8 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests that kernels exchange values between threads only through coherent accesses. On
-// some GPUs, each compute unit has a separate cache. There, a value that a subgroup stores
-// is visible to a different subgroup only if both accesses are coherent, even with
-// barriers.
+// Kernels must exchange values between threads only through coherent accesses. On some
+// GPUs, each compute unit has a separate cache, so that a value that a subgroup stores is
+// visible to a different subgroup only if both accesses are coherent, even with barriers.
 #include <map>
 #include <set>
 #include <span>

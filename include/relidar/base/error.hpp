@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Exceptions that relidar throws. Each message is one line of text. It states what
-// failed, the value that was found, and the value that was expected.
+// Exceptions of relidar. Messages are one line: what failed, found and expected.
 #pragma once
 
 #include <optional>

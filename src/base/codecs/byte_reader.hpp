@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads binary data from memory: little-endian numbers, and byte strings with a length
-// prefix.
+// Reads little-endian numbers and byte strings with a length prefix.
 #pragma once
 
 #include <bit>

@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads and writes the bytes of files. Uses C streams, because C++ streams do not report
-// the cause of an error (errno).
+// Uses C streams, because C++ streams do not report the cause of an error (errno).
 #include "file_io.hpp"
 #include "base/fail.hpp"
 

@@ -1,7 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Writes and parses .npy data, which an npz file contains for each array. The data
-// consists of magic bytes, a version, a header with type, order and shape, and the
-// values.
+// .npy data: magic bytes, a version, a header with type, order and shape, and the values.
 #pragma once
 
 #include <cstddef>

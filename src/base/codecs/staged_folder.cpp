@@ -1,6 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Creates folders atomically. Files are written to a temporary folder next to the final
-// folder. When the temporary folder is complete, it is renamed.
 #include <relidar/base/files.hpp>
 
 #include <cerrno>

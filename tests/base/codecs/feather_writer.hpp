@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Writes Feather V2 files (Arrow IPC) for tests, with the metadata from the flatbuffers
-// builder.
+// Writes Feather V2 files with the metadata from the flatbuffers builder.
 #pragma once
 
 #include <cstdint>

@@ -1,7 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests npz files: round trips of every type, files written by numpy, and rejection of
-// damaged files. Every truncation and every changed byte of a small archive must either
-// give equal values or throw a DataError.
+// Every truncation and every changed byte must give equal values or a DataError.
 #include <relidar/base/arrays.hpp>
 
 #include <cstring>

@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests EXR and PNG files by reading them with OpenEXR and libpng, and colour maps and
-// stacked images by their pixels.
+// Reads EXR and PNG files with OpenEXR and libpng. Also tests colour maps.
 #include <relidar/base/files.hpp>
 #include <relidar/base/images.hpp>
 

@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Provides a temporary folder that is deleted at the end of the test, and functions that
-// return file contents and error messages as strings.
+// A folder that is deleted at the end of the test.
 #pragma once
 
 #include <filesystem>
