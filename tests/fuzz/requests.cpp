@@ -1,8 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Fuzzes data that arrives over the network: protobuf messages of `relidar serve`,
-// requests of the viewer's page, and headers of its HTTP requests. Covers decoding and
-// all checks before rendering, without device or socket. tools/dev/fuzz_view tests the
-// sockets.
+// Data from the network, without device or socket (tools/dev/fuzz_view: the sockets).
 #include "harness.hpp"
 
 #include <algorithm>

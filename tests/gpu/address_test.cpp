@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests that the compiler rejects arrays of the wrong type in kernel parameters, and
-// parameters of the wrong kernel. Most checks are at compile time.
+// The compiler must reject arrays of the wrong type and parameters of the wrong kernel.
 #include <concepts>
 #include <type_traits>
 

@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests devices, memory and submission: the list of devices, copies of all sizes, fills,
-// memory accounting, and requests that cannot be satisfied.
+// Tests devices, copies, fills, memory accounting, and impossible requests.
 #include <algorithm>
 #include <numeric>
 

@@ -1,7 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests memory blocks that many arrays share. Compares the ranges of a block with a map
-// of its bytes. Also tests more arrays than the driver allows allocations, and arrays
-// that are too large.
+// Compares the ranges of a memory block with a map of its bytes.
 #include <algorithm>
 #include <map>
 #include <random>

@@ -1,7 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests the file of compiled pipelines. A device writes the file when it is closed, and
-// the next device reads it. A file that is damaged or belongs to a different driver is
-// ignored. If the file cannot be written, no error occurs.
+// A file of another driver, or a damaged one, is ignored without an error.
 #include <cstring>
 #include <filesystem>
 #include <fstream>

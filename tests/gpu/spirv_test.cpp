@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests how SPIR-V modules are modified when they are loaded. The remaining code must not
-// change. If spirv-val is installed, it must accept the result.
+// Edits of SPIR-V modules: the remaining code must not change.
 #include <cstdlib>
 #include <filesystem>
 #include <fstream>

@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests the limits of a submission, readbacks, and the copy kernel that measures memory
-// speed (gpu/copy).
+// Tests the limits of a submission, readbacks, and the kernel gpu/copy.
 #include <filesystem>
 #include <fstream>
 #include <map>

@@ -1,7 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests the check of float sums and subgroups (gpu/check_atomics, gpu/check_subgroups)
-// with forced faults, and the methods that a device uses after a check. Ray queries are
-// covered by a test of the renderer.
+// Tests the check of a device with forced faults.
 #include <filesystem>
 #include <fstream>
 

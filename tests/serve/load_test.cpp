@@ -1,7 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests the service under load: many simultaneous clients, clients that disconnect,
-// deadlines, a full queue, and more scenes than fit into memory. Every request must be
-// answered, and no memory may leak.
+// Every request must be answered under load, and no memory may leak.
 #include <atomic>
 #include <chrono>
 #include <fstream>

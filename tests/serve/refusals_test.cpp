@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests invalid requests. Each request must be rejected with a status whose message is a
-// single line, and the server must answer the next request.
+// Invalid requests get a one-line status, and the next request is answered.
 #include <functional>
 #include <limits>
 

@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests the queue of the render thread: the order of requests, its slots, and cancelled
-// requests.
+// Tests the order of requests, slots, and cancelled requests.
 #include <atomic>
 #include <cctype>
 #include <functional>

@@ -1,7 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests a server with several runs within a memory budget. Checks which runs are
-// released, and whether a run is identical after it is loaded again. A run that never
-// fits must cause an error.
+// Tests a server with several runs within a memory budget.
 #include <gmock/gmock.h>
 
 #include <relidar/base/error.hpp>

@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests SensorsimService with the wall and the plate of small_service.hpp. The expected
-// positions of their points follow from the poses only.
+// The expected positions of the points follow from the poses only.
 #include <functional>
 #include <set>
 

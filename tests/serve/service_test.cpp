@@ -1,7 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests the responses that a client receives. Scans must equal the scans of ScanRenderer
-// bit by bit, and points must lie on surfaces. Also tests tracks of the log and sensors
-// of the client.
+// Responses must equal the scans of ScanRenderer bit by bit.
 #include <fstream>
 #include <iterator>
 

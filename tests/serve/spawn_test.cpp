@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests actors that clients insert into scenes. Compares scans with the edits of the
-// library. Also tests the list of actors, rejected requests, and removal.
+// Compares scans with actors of clients with the edits of the library.
 #include <cmath>
 
 #include <fmt/format.h>

@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Test shader for exchange_test.cpp. Threads of a workgroup exchange values through a
-// buffer. The accesses are coherent if COHERENT is defined, and incorrect otherwise.
+// Threads exchange values through a buffer, coherently only if COHERENT is defined.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../shaders/base/kernel.glsl"

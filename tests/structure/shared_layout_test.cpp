@@ -1,7 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests that host and shaders use the same layout for every shared struct, in every
-// kernel that uses the struct. Also tests that kernels use only features that every
-// device has.
+// Host and kernels must use the same layout for every shared struct.
 #include <algorithm>
 #include <cstddef>
 #include <map>

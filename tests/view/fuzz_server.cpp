@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Sends randomly modified requests and WebSocket frames to the viewer's server, and
-// regularly checks that the server still answers. Usage: view_fuzz [REQUESTS [SEED]]
+// Sends modified requests and frames to the viewer's server: view_fuzz [REQUESTS [SEED]]
 #include <cstdio>
 #include <cstdlib>
 #include <exception>

@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Checks the requests that the viewer's page may send, and the errors for invalid
-// requests.
+// Tests the requests of the viewer's page.
 #include "../../tools/view/request.hpp"
 
 #include <gmock/gmock.h>

@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Compares live scans of the viewer with the library's renderer, including edits. Checks
-// that a frame message can be decoded to the original data.
+// Compares live scans of the viewer with the library's renderer, including edits.
 #include "../../tools/view/scanner.hpp"
 
 #include <cstring>

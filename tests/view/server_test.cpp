@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests the viewer's server against arbitrary clients on the network: which files it
-// serves, and which requests it rejects with which status. The server must keep running.
+// Tests the viewer's server against arbitrary clients on the network.
 #include <filesystem>
 #include <fstream>
 #include <future>

@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Raises the limit of file descriptors of a server, because each connection needs one
-// descriptor.
+// Each connection of a server needs a file descriptor.
 #pragma once
 
 #include <sys/resource.h>

@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Parses network addresses that users type, such as 127.0.0.1:50051, [::1]:50051 or
-// localhost:50051.
+// Addresses that users type: 127.0.0.1:50051, [::1]:50051 or localhost:50051.
 #pragma once
 
 #include <charconv>

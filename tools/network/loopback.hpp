@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Detects loopback addresses, which only programs on this machine can reach. For other
-// addresses, a server prints a warning or requires a token.
+// For addresses that other machines can reach, a server warns or requires a token.
 #pragma once
 
 #include <string>

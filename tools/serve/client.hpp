@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// gRPC client of the render service. Tests and the command `relidar-dev bench --serve`
-// use it.
+// gRPC client for tests and `relidar-dev bench --serve`.
 #pragma once
 
 #include <memory>

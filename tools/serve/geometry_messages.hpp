@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Converts poses and times from Protobuf messages to C++ types and back. Every value is
-// checked, because clients may send invalid values.
+// Converts and checks poses and times of messages.
 #pragma once
 
 #include <string>

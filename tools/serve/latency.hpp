@@ -1,7 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Measures how long the clients of a render service wait for scans along the path of the
-// log. This header contains no gRPC types, so that files that include it do not need
-// gRPC.
+// Measures the latency of a render service. Contains no gRPC types.
 #pragma once
 
 #include <cstddef>

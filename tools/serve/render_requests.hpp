@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Defines the requests that gRPC calls send to the render thread. Each request also
-// stores its response.
+// The requests that gRPC calls send to the render thread, and their responses.
 #pragma once
 
 #include <exception>

@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Checks the scan requests of clients and converts them to requests for the renderer.
-// Several threads may use these functions at the same time.
+// Checks the scan requests of clients. Thread-safe.
 #pragma once
 
 #include <cstdint>

@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Manages the runs of the server. Their surfels are on the device only if the run was
-// used recently. All other data of the runs stay in host memory.
+// The surfels of a run are on the device only if it was used recently.
 #pragma once
 
 #include <cstdint>

@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads sensor descriptions from Protobuf messages. Checks every value before the rays
-// are computed, because clients may send invalid values.
+// Checks every value of a sensor before its rays are computed.
 #pragma once
 
 #include <string>

@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Implements the gRPC calls of sensorsim.proto. The render thread renders their scans
-// together with the scans of render.proto.
+// Implements the gRPC calls of sensorsim.proto.
 #pragma once
 
 #include <memory>

@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Implements the gRPC calls of render.proto. gRPC threads read the requests and write the
-// responses. The render thread renders the scans.
+// Implements the gRPC calls of render.proto. Only the render thread renders.
 #pragma once
 
 #include <functional>

@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Access control of the web server: checks host names, origins and access tokens. The
-// result depends only on the header fields and the URL of an HTTP request.
+// Access control: depends only on the header fields and the URL of an HTTP request.
 #pragma once
 
 #include <string>

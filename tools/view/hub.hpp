@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// State that all connections of a web server share: its options, its clients, and the
-// io_context of its thread.
+// State that all connections of a web server share.
 #pragma once
 
 #include <map>

@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Files of the web page of `relidar view`. They are compiled into the program from
-// tools/view/page and src/score/report/points.
+// Files of the web page, compiled into the program.
 #pragma once
 
 #include <vector>

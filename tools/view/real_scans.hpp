@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Loads the scans of the log in a background thread, so that the web page opens
-// immediately. If the log is missing, the user can still view the run.
+// Loads the scans of the log in a background thread. The log may be missing.
 #pragma once
 
 #include <atomic>

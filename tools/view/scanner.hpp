@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Renders the scans that the web page shows. The page shows a simulated scan, a measured
-// scan, or both, and the boxes of actors.
+// Renders the scans that the web page shows.
 #pragma once
 
 #include <cstddef>

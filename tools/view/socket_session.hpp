@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Serves one WebSocket connection. It receives text messages, and sends text and binary
-// messages one after the other.
+// Serves one WebSocket connection.
 #pragma once
 
 #include <cstdint>

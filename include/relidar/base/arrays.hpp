@@ -56,7 +56,7 @@ NamedArray make_single_text_array(std::string name, const std::string& text);
 
 /// Writes an npz file in the format of numpy.savez_compressed. Writing equal arrays twice
 /// gives identical files.
-/// @throws DataError if an array exceeds 4 GiB or the file cannot be written
+/// @throws DataError if `arrays` is empty or the file cannot be written
 void write_npz(const std::filesystem::path& path, const std::vector<NamedArray>& arrays);
 /// Reads all arrays of an npz file. The arrays may be uncompressed or compressed with
 /// deflate. They must be row-major and little-endian.
