@@ -32,7 +32,6 @@ To bits(From value) {
     return result;
 }
 
-/// Returns numbers at the limits of the format, and doubles with random bits.
 std::vector<double> make_many_numbers() {
     std::vector<double> numbers{0.0,
                                 -0.0,

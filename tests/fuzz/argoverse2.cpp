@@ -45,7 +45,6 @@ void read_feather(std::string_view input, const fs::path&) {
     if (!failure.empty()) throw DataError(failure);
 }
 
-/// Log of two sweeps with three firings each.
 struct Log {
     test::Argoverse2Log log;
     ChangedFiles files;

@@ -27,14 +27,12 @@ std::vector<NamedArray> make_example_arrays() {
 
 Scene make_small_scene() { return make_background_scene(make_example_surfels(3)); }
 
-/// Returns the bytes of the file that the function writes.
 template <auto Write>
 std::vector<std::string> written(const fs::path& folder) {
     Write(folder / "seed");
     return {read_contents(folder / "seed")};
 }
 
-/// Reads the input as a file.
 template <auto Read>
 void read_as_file(std::string_view input, const fs::path& folder) {
     put(folder / "input", input);

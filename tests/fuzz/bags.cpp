@@ -29,7 +29,6 @@ namespace fs = std::filesystem;
 
 constexpr std::uint64_t kSecond_ns = 1000000000, kStart_ns = 1700000000 * kSecond_ns;
 
-/// Returns the bytes of the values, one after another.
 template <class... T>
 std::string pack(T... numbers) {
     std::string bytes;
@@ -70,7 +69,6 @@ private:
     std::string bytes_;
 };
 
-/// Returns a cloud of four beams with 24 columns, rings and times.
 std::string cloud(bool is_ros1, std::uint64_t stamp_ns) {
     struct Field {
         const char* name;
@@ -266,7 +264,6 @@ std::vector<std::string> make_message_seeds(const fs::path&) {
             '\x1c' + Draft(false).add_text("{}").take()};
 }
 
-/// Reads the turns of the sensor from messages that all contain the same packets.
 void read_turns(packets::PacketIndex& log, const std::vector<packets::ReceivedPacket>& views) {
     if (log.empty()) return;
     log.sort_packets_and_find_revolutions();
@@ -321,9 +318,8 @@ void read_message(std::string_view input, const fs::path&) {
     }
 }
 
-/// Returns seeds for an Ouster sensor: the length of the metadata, the metadata, and the
-/// contents of packets. The sensor has two beams, four columns per turn and two columns
-/// per packet.
+/// Seeds: the length of the metadata, the metadata, and packets of two beams, four
+/// columns per turn and two columns per packet.
 std::vector<std::string> make_ouster_seeds(const fs::path&) {
     struct Profile {
         const char* name;
@@ -379,14 +375,12 @@ void read_ousters(std::string_view input, const fs::path&) {
     read_turns(log, views);
 }
 
-/// First bytes and size of a packet of a LiDAR product. Its packets consist of blocks.
 struct BlockPacket {
     std::string_view head;
     std::size_t bytes;
 };
 
-/// Returns inputs with eight packets of a sensor product: the size of a packet (16 bits),
-/// then the packets.
+/// The size of a packet (16 bits), then eight packets.
 std::vector<std::string> make_block_seeds(const fs::path&) {
     using namespace std::string_view_literals;
     constexpr BlockPacket kPackets[] = {

@@ -14,10 +14,8 @@ namespace relidar::fuzz {
 
 class ChangedFiles {
 public:
-    /// @param files files with their original contents
     explicit ChangedFiles(std::vector<std::filesystem::path> files);
 
-    /// Writes the files of an input, reads the log, and restores the original files.
     void read(std::string_view input, const std::function<void(unsigned options)>& read) const;
     /// Returns seed inputs: an input with options only, and an input for each single
     /// file. The input holds the start of a scan, or the complete text.
@@ -27,7 +25,6 @@ public:
     /// Reads an input in a simpler format. The first byte selects the file that the
     /// remainder replaces. For an empty input, changes and reads no file.
     void read_one(std::string_view input, const std::function<void()>& read) const;
-    /// Returns inputs in the simpler format: each file with its original contents.
     std::vector<std::string> make_seeds_of_one() const;
 
 private:

@@ -33,7 +33,6 @@ void thin(const fs::path& scan) {
     put(scan, some);
 }
 
-/// The drive and the files that an input can change.
 class Drive {
 public:
     explicit Drive(const fs::path& folder) : drive_((::setenv("TEST_TMPDIR", folder.c_str(), 1), "fuzz")) {
@@ -87,7 +86,6 @@ void attempt_all(const std::vector<std::function<void()>>& readers) {
     if (failure) std::rethrow_exception(failure);
 }
 
-/// Runs every text reader separately.
 void read_texts(const Drive& drive, unsigned options) {
     const std::vector<int> frames = kitti::list_scan_numbers(drive.folder() / "velodyne_points/data", 0, -1);
     const PoseTrack track{{0.0, 0.1, 0.2}, std::vector<Pose>(3)};
@@ -180,8 +178,7 @@ std::vector<std::string> make_kitti_360_seeds(const fs::path& folder) {
 
 }  // namespace
 
-/// Returns the harnesses. Reading the full drive takes a hundred times as long as reading
-/// its texts.
+/// Reading the full drive takes a hundred times as long as reading its texts.
 std::vector<Harness> list_drive_harnesses() {
     return {
         // The seeds are not valid logs, because a part of a scan cannot be read as a

@@ -73,7 +73,6 @@ void read_head(std::string_view input, const fs::path&) {
 #endif
 #ifdef RELIDAR_FUZZ_SERVE
 
-/// A run without surfels, as the service stores it.
 struct Served {
     std::vector<TrainedRun> outlines;
     std::vector<serve::SceneSource> sources;
@@ -146,7 +145,6 @@ void read_call(std::string_view input, const fs::path& folder) {
     check_status(status);
 }
 
-/// Reads a frame of SensorsimService.
 void read_frame(std::string_view input, const fs::path& folder) {
     static const Served served(folder);
     static const serve::RequestReader scenes(served.outlines, served.sources, served.assets, served.spawned);

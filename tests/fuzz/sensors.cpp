@@ -15,7 +15,6 @@ namespace fs = std::filesystem;
 constexpr const char* kEndings[] = {"csv", "json", "npz"};
 constexpr std::size_t kMostMade = 20000;  // maximum number of rays that the test also creates
 
-/// Creates the rays of a sensor if their number is small.
 void make(const SensorModel& sensor) {
     const std::size_t n = summarise_scan_pattern(sensor.pattern).n_rays;
     if (n <= kMostMade) make_rays(sensor, 0.3);

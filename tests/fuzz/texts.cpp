@@ -24,7 +24,6 @@ void read_config(std::string_view input, const fs::path& folder) {
     apply_config_file(config, folder / "config.toml");
 }
 
-/// Reads a street, and simulates it if it is small.
 void read_street(std::string_view input, const fs::path& folder) {
     put(folder / "street.toml", input);
     const SyntheticOptions street = read_synthetic_options(folder);
@@ -127,8 +126,6 @@ void read_tokens(std::string_view input, const fs::path& folder) {
     read_street(text, folder);
 }
 
-/// Scenario in which a vehicle follows a trajectory that starts after a delay (start
-/// trigger).
 constexpr const char* kScenario =
     R"(<OpenSCENARIO><ParameterDeclarations><ParameterDeclaration name="p" value="3"/>
 </ParameterDeclarations><Entities><ScenarioObject name="v"><Vehicle><BoundingBox>

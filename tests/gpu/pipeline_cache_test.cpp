@@ -62,7 +62,6 @@ protected:
         fs::path path;
         std::size_t read_bytes;
     };
-    /// Opens a device, creates pipelines and closes the device.
     static Opened open() {
         Device opened(apply_environment_variables());
         const PrefixSum prefix_sum(opened);

@@ -208,8 +208,7 @@ TEST(SpirvBranches, AreAcceptedBySpirvVal) {
     });
 }
 
-/// Returns the module after spirv-opt has replaced the specialization constants by values
-/// and removed unreachable code.
+/// spirv-opt replaces the constants and removes unreachable code.
 std::string optimise_words(std::span<const std::uint32_t> words,
                            const std::map<std::uint32_t, std::uint32_t>& constants) {
     const fs::path file =

@@ -70,8 +70,6 @@ TEST_F(StreamTest, ArraysThatAreLeftOutAreZeros) {
     EXPECT_EQ(to.download(), std::vector<glm::vec4>(n, glm::vec4(0.0f)));
 }
 
-/// The kernel gpu/copy, which measures memory speed, must copy exactly the requested
-/// values.
 TEST_F(StreamTest, CopyThatIsMeasured) {
     constexpr std::uint32_t kCopied = 1000, kAll = 1003;
     std::vector<glm::vec4> values(kAll);
@@ -294,8 +292,7 @@ protected:
     }
 };
 
-/// Together, the pieces of a launch must do all the work. The measured times must count a
-/// launch once, not once per piece.
+/// The measured times must count a launch once, not once per piece.
 TEST_F(CutLaunches, DoTheSameWork) {
     EXPECT_EQ(limit().get_kernel_speed("gpu/copy").choose_workgroups_per_dispatch(0.1), 100u);
     EXPECT_EQ(limit().get_kernel_speed("unknown").choose_workgroups_per_dispatch(0.1),

@@ -31,19 +31,16 @@ v1::ActorTrack& actor(v1::RenderLidarRequest& request, const std::string& name) 
     return added;
 }
 
-/// Adds a second pose 0.1 s after the first pose.
 v1::RenderLidarRequest& extend_path(v1::RenderLidarRequest& request) {
     add_pose(*request.mutable_path(), 0.6, make_pose_at_x(0));
     return request;
 }
 
-/// Makes a sensor of one ray, and returns it.
 v1::SensorSpec& set_one_ray(v1::RenderLidarRequest& request) {
     spec(request) = make_rays_ahead(1);
     return spec(request);
 }
 
-/// Makes a spinning sensor without beams, and returns it.
 v1::SpinningSensor& set_spinning(v1::RenderLidarRequest& request) {
     v1::SpinningSensor& spinning = *spec(request).mutable_spinning();
     spinning.set_columns(8);

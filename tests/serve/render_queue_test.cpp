@@ -18,7 +18,6 @@
 namespace relidar::serve {
 namespace {
 
-/// Request that calls functions.
 struct FunctionsRequest : QueuedRequest {
     std::function<void(bool is_last)> on_submit = [](bool) {};
     std::function<void()> on_finish = [] {};

@@ -39,7 +39,6 @@ protected:
         });
         return range_m;
     }
-    /// Returns the device memory of a run after a scan.
     std::uint64_t measure_size_of_one() {
         const std::uint64_t before = device().allocated_bytes();
         SceneSet one(device(), {sources[0]}, std::uint64_t(1) << 40, no_assets);

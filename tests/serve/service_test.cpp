@@ -24,7 +24,6 @@ protected:
         return ScanClient(address()).render_lidar_scan(request);
     }
 
-    /// Renders the same scan with the library.
     RenderedScan rendered(const ScanRequest& request, const std::string& sensor,
                           std::optional<std::uint64_t> sample, const std::string& in_weather = "") {
         const relidar::TrainedRun run = load_run(folder / "small");
@@ -86,7 +85,6 @@ std::vector<float> read_ply_positions(const std::filesystem::path& path) {
     return values<float>(positions);
 }
 
-/// Returns the positions of the points whose rays have a return.
 /// @param ends [n, 3] end points of all rays
 std::vector<float> list_returned_positions(const std::vector<float>& ends, const RenderedScan& scan) {
     std::vector<float> positions;

@@ -61,7 +61,6 @@ inline TrainedRun make_small_run(const std::filesystem::path& folder) {
     return run;
 }
 
-/// Fixture that saves runs and serves them.
 class ServiceTest : public test::DeviceTest {
 protected:
     std::filesystem::path folder;         ///< folder of the runs
@@ -107,7 +106,6 @@ protected:
     }
 };
 
-/// Adds a pose to the path of a sensor or an actor.
 inline void add_pose(google::protobuf::RepeatedPtrField<v1::TimedPose>& poses, double time_s,
                      const Pose& pose) {
     v1::TimedPose& added = *poses.Add();

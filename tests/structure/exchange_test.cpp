@@ -45,7 +45,6 @@ struct Accesses {
 
 class ExchangeReader {
 public:
-    /// Reads a compiled kernel.
     /// @return members that a kernel with a barrier loads and stores, with at least one
     /// access that is not coherent
     std::vector<std::string> read(std::span<const std::uint32_t> words) {

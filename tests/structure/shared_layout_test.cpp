@@ -21,10 +21,8 @@ namespace {
 
 using namespace gpu;
 
-/// Member name -> offset in bytes.
 using StructLayout = std::map<std::string, std::uint32_t>;
 
-/// Declaration of a struct type in a module.
 struct Struct {
     std::string name;
     std::size_t n_members = 0;

@@ -90,7 +90,6 @@ std::string compress_bytes(const std::string& bytes, FeatherCodec codec) {
     return packed;
 }
 
-/// Body of a record batch that is currently being written.
 struct Body {
     FeatherCodec codec;
     std::string bytes;

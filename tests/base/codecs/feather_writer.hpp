@@ -35,7 +35,6 @@ FeatherColumn make_numbers(const std::string& name, const std::vector<T>& values
     column.values.assign(reinterpret_cast<const char*>(values.data()), values.size() * sizeof(T));
     return column;
 }
-/// Returns a column in half precision, rounded to nearest.
 FeatherColumn make_halves(const std::string& name, const std::vector<float>& values);
 FeatherColumn make_texts(const std::string& name, const std::vector<std::string>& texts,
                          bool by_dictionary = false);

@@ -85,7 +85,6 @@ Image read_png(const std::vector<std::uint8_t>& bytes) {
     return image;
 }
 
-/// Returns the text entries that libpng reads from a file in memory.
 std::vector<std::pair<std::string, std::string>> read_png_texts(const std::vector<std::uint8_t>& bytes) {
     png_structp png = png_create_read_struct(PNG_LIBPNG_VER_STRING, nullptr, nullptr, nullptr);
     png_infop info = png_create_info_struct(png);

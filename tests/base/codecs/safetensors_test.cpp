@@ -12,7 +12,6 @@ namespace {
 
 using Safetensors = TemporaryFolder;
 
-/// Returns the bytes of a file: the size of the header, the header, and the data.
 std::string file_of(const std::string& header, const std::string& data) {
     const std::uint64_t size = header.size();
     std::string bytes(sizeof size, '\0');

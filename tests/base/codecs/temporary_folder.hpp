@@ -26,7 +26,6 @@ protected:
     }
     void TearDown() override { std::filesystem::remove_all(folder); }
 
-    /// Returns the names of all files in the folder, including hidden files.
     std::vector<std::string> files() const {
         std::vector<std::string> names;
         for (const auto& entry : std::filesystem::directory_iterator(folder))
@@ -49,9 +48,7 @@ inline void put(const std::filesystem::path& path, std::string_view bytes) {
     std::ofstream(path, std::ios::binary).write(bytes.data(), std::streamsize(bytes.size()));
 }
 
-/// Calls a function that must throw an error of type `ExpectedError`, and returns the
-/// message of the error. Fails the test if the function throws nothing or an error of a
-/// different type.
+/// Calls a function that must throw an `ExpectedError`, and returns its message.
 template <class ExpectedError, class Call>
 std::string error_message(const Call& call) {
     try {
