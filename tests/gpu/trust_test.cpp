@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests the check of a device (gpu/check_atomics, gpu/check_subgroups) with forced faults.
+// Tests gpu/check_atomics and gpu/check_subgroups with forced faults.
 #include <filesystem>
 #include <fstream>
 
