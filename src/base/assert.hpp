@@ -4,8 +4,7 @@
 // (RELIDAR_ASSERTS). Errors in files or arguments throw an Error instead.
 #pragma once
 
-/// RELIDAR_ASSERT_LE(a, b) checks that a <= b. RELIDAR_ASSERT_EQ(a, b) checks that a ==
-/// b. If the check fails, both macros print a and b.
+/// Checks a <= b or a == b, and prints both if the check fails.
 #define RELIDAR_ASSERT_LE(a, b) RELIDAR_ASSERT_THAT(a, <=, b)
 #define RELIDAR_ASSERT_EQ(a, b) RELIDAR_ASSERT_THAT(a, ==, b)
 

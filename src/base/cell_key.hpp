@@ -9,8 +9,7 @@
 
 namespace relidar {
 
-/// Key of the cubic grid cell of a point. A key has 21 bits per axis, so only the keys of
-/// cells within 2^20 cells of the origin are unique.
+/// 21 bits per axis: unique only within 2^20 cells of the origin.
 inline std::uint64_t compute_grid_cell_key(const glm::dvec3& point_m, double cell_size_m) {
     std::uint64_t key = 0;
     for (int axis = 0; axis < 3; ++axis)

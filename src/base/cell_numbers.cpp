@@ -17,8 +17,7 @@ namespace {
 constexpr std::size_t kParts = 32;
 constexpr std::size_t kItemsPerBlock = 1 << 16;
 
-/// Indices of the items of one block, divided into kParts lists by the hash of their
-/// keys.
+/// Items of one block, in kParts lists by the hash of their keys.
 using ItemIndicesByPart = std::array<std::vector<std::uint32_t>, kParts>;
 
 std::vector<ItemIndicesByPart> partition_item_indices_by_key_hash(
@@ -38,9 +37,8 @@ std::vector<ItemIndicesByPart> partition_item_indices_by_key_hash(
 ItemCellIndices number_cells_and_assign_items(std::span<const std::uint64_t> cell_key_per_item) {
     const std::vector<ItemIndicesByPart> blocks = partition_item_indices_by_key_hash(cell_key_per_item);
     ItemCellIndices numbers{std::vector<std::uint32_t>(cell_key_per_item.size()), 0};
-    // `first` refers to the result array `numbers.of`. The first loop stores, for each
-    // item, the index of the first item in the same cell. The last loop replaces these
-    // indices by cell numbers.
+    // The first loop stores in `numbers.of` the index of the first item in the same cell,
+    // which the last loop replaces by cell numbers.
     std::vector<std::uint32_t>& first = numbers.of;
     parallel_for(kParts, [&](int part) {
         std::unordered_map<std::uint64_t, std::uint32_t> table;

@@ -10,8 +10,7 @@
 
 namespace relidar {
 
-/// For each item, the number of the grid cell that contains it. Cells are numbered in the
-/// order of their first items, so the numbers do not depend on the number of threads.
+/// Cells are numbered in the order of their first items, for any number of threads.
 struct ItemCellIndices {
     std::vector<std::uint32_t> of;  ///< Cell number of each item, [items].
     std::size_t n_cells = 0;

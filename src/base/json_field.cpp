@@ -143,13 +143,11 @@ nlohmann::json parse_json(const std::string& text, const std::string& file_name)
     try {
         return nlohmann::json::parse(text);
     } catch (const nlohmann::json::exception& error) {
-        // Removes the prefix of the JSON library's message, for example
-        // "[json.exception.parse_error.101] parse error at line 1, column 2: ".
+        // "[json.exception.parse_error.101] parse error at line 1, column 2: "
         std::string why = error.what();
         if (const std::size_t bracket = why.find("] "); bracket != std::string::npos)
             why.erase(0, bracket + 2);
-        // Removes the text from "; last read" to the end, because this text quotes the
-        // file and can be very long.
+        // "; last read" quotes the file and can be very long.
         why = why.substr(0, why.find("; last read"));
         for (char& c : why) c = static_cast<unsigned char>(c) < 0x20 ? ' ' : c;
         fail("{}: the file is not valid JSON, or it is truncated or damaged: {}", file_name, why);

@@ -58,8 +58,7 @@ std::string format_name_suggestion(std::string_view query, const std::vector<std
                                    std::string_view quote_mark, std::string_view text_if_none) {
     std::vector<std::string> similar_names;
     for (const std::string& name : valid_names) {
-        // Names are similar if one contains the other, or if few letters differ: at most
-        // 2/5 of the length of the longer name.
+        // One name contains the other, or at most 2/5 of the letters differ.
         const std::size_t max_distance =
             std::max<std::size_t>(1, 2 * std::max(query.size(), name.size()) / 5);
         if (compute_edit_distance(query, name) <= max_distance || contains_ignoring_case(query, name) ||

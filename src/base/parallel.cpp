@@ -22,9 +22,7 @@ void parallel_for(int n_tasks, const std::function<void(int)>& task) {
     std::exception_ptr failure;
     int failed = n_tasks;
     std::atomic<int> next{0};
-    // Gets the next task index from a shared counter, so that tasks start in ascending
-    // order. The loops of oneTBB do not guarantee this order, because they split the
-    // range of indices in the middle.
+    // Tasks start in ascending order, which the loops of oneTBB do not guarantee.
     const auto run_tasks = [&] {
         for (int i = next++; i < n_tasks; i = next++) {
             try {
@@ -43,9 +41,8 @@ void parallel_for(int n_tasks, const std::function<void(int)>& task) {
     if (n_threads == 1) {
         run_tasks();
     } else {
-        // Isolates this loop from other oneTBB loops. While a thread waits for this loop,
-        // it runs no tasks of other loops. If the caller's task group is cancelled, this
-        // loop still runs to its end.
+        // While a thread waits for this loop, it runs no tasks of other loops. If the
+        // caller's task group is cancelled, this loop still runs to its end.
         tbb::task_group_context context(tbb::task_group_context::isolated);
         tbb::this_task_arena::isolate([&] {
             tbb::parallel_for(

@@ -12,8 +12,7 @@ namespace relidar {
 struct PlaneFit {
     glm::dvec3 mean{0.0};
     glm::dvec3 variance{0.0};  ///< Variances along the axes, ascending.
-    /// Principal axes of the points, unit length. The first axis has the least variance
-    /// and is the normal of the plane.
+    /// Unit length. The first axis is the normal of the plane.
     glm::dvec3 axes[3];
 };
 

@@ -7,10 +7,8 @@
 
 namespace relidar {
 
-/// A TOML library creates one nested table per part of a key and destroys the tables
-/// recursively, so a key with forty thousand dots would overflow the stack. Keys of our
-/// settings have two parts.
-/// @throws DataError if a key has too many parts
+/// A TOML library destroys nested tables recursively, so a key with forty thousand dots
+/// would overflow the stack. Keys of our settings have two parts.
 void require_toml_nesting_within_limit(std::string_view toml_text, const std::string& file_name);
 
 }  // namespace relidar

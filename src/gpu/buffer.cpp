@@ -39,8 +39,7 @@ void throw_if_buffer_too_large(const Device::Impl& device, std::size_t size_byte
         bytes_to_mib(size_bytes), description, device.info.name, bytes_to_mib(limit), name);
 }
 
-/// Checks that an array fits into the memory limit of the user and into the memory budget
-/// of the driver. Reading the budget is slow, so it is read only for large arrays.
+/// Reading the memory budget is slow, so it is read only for large arrays.
 void throw_if_over_memory_budget(const Device::Impl& device, std::size_t size_bytes,
                                  const std::string& description) {
     constexpr std::size_t kLarge = gpu::DeviceMemoryAllocator::kBlockBytes / 2;
@@ -52,8 +51,7 @@ void throw_if_over_memory_budget(const Device::Impl& device, std::size_t size_by
             bytes_to_mib(device.memory_limit_bytes));
     if (size_bytes < kLarge) return;
     gpu::MemoryBudget budget = gpu::query_memory_budget(device.physical);
-    // Without VK_EXT_memory_budget, the driver does not report the used memory, so n_used
-    // is 0.
+    // Without VK_EXT_memory_budget, n_used is 0.
     budget.n_used = std::max(budget.n_used, device.allocated.load());
     if (budget.n_bytes > 0 && size_bytes > budget.get_free_device_memory_bytes())
         throw_allocation_error(device, size_bytes, description,
@@ -65,20 +63,17 @@ void throw_if_over_memory_budget(const Device::Impl& device, std::size_t size_by
 Buffer::Impl::Impl(Device::Impl& owner, std::size_t size, gpu::BufferPurpose used,
                    const std::string& description)
     : device(&owner), use(used), n_bytes(size) {
-    // A device that is opened only for compilation allocates no memory, because it may
-    // have no hardware.
+    // The device may have no hardware.
     if (owner.compile_only) return;
     owner.free_orphaned_buffers();
     throw_if_buffer_too_large(owner, size, description);
-    // Staging and parameter buffers are small or in host memory, so the budget does not
-    // apply.
+    // The budget does not apply to buffers in host memory.
     if (use == gpu::BufferPurpose::device) throw_if_over_memory_budget(owner, size, description);
     VkBufferCreateInfo info{VK_STRUCTURE_TYPE_BUFFER_CREATE_INFO};
     info.size = size;
     info.usage = VK_BUFFER_USAGE_STORAGE_BUFFER_BIT | VK_BUFFER_USAGE_SHADER_DEVICE_ADDRESS_BIT |
                  VK_BUFFER_USAGE_TRANSFER_SRC_BIT | VK_BUFFER_USAGE_TRANSFER_DST_BIT;
-    // Vulkan allows these flags only if the extension for acceleration structures is
-    // enabled. This is the case if the device traces with ray queries.
+    // Vulkan allows these flags only with the extension for acceleration structures.
     if (owner.traversal == RayTracingBackend::ray_query)
         info.usage |= VK_BUFFER_USAGE_ACCELERATION_STRUCTURE_BUILD_INPUT_READ_ONLY_BIT_KHR |
                       VK_BUFFER_USAGE_ACCELERATION_STRUCTURE_STORAGE_BIT_KHR;
@@ -90,8 +85,7 @@ Buffer::Impl::Impl(Device::Impl& owner, std::size_t size, gpu::BufferPurpose use
         gpu::set_vulkan_object_name(owner.device, VK_OBJECT_TYPE_BUFFER, handle, description);
         VkMemoryRequirements needs;
         vkGetBufferMemoryRequirements(owner.device, handle, &needs);
-        // A piece of a sparse buffer must be a multiple of its memory page, and at least
-        // one page.
+        // A multiple of the memory page of a sparse buffer, at least one.
         const std::uint64_t piece_bytes =
             std::max(largest / needs.alignment * needs.alignment, needs.alignment);
         result = info.flags ? allocate_and_bind_sparse_memory(needs, piece_bytes)
@@ -159,11 +153,9 @@ VkResult Device::Impl::bind_memory_to_sparse_buffer(
 
 Buffer::Impl::~Impl() {
     if (!handle) return;
-    // Usually, the owner waits for the commands that use a buffer before it destroys the
-    // buffer. An exception skips this wait, so the destructor waits for submitted
-    // commands here. Commands that a stream has only recorded may be submitted later.
-    // While a stream is recording, the buffer is therefore put into `orphans`, which is
-    // freed later.
+    // An exception skips the owner's wait for the commands that use a buffer, so this
+    // destructor waits. While a stream has recorded commands that are submitted later,
+    // the buffer is put into `orphans`.
     if (std::uncaught_exceptions() > 0) {
         const std::lock_guard lock(device->orphans_mutex);
         if (device->n_recording > 0) {

@@ -10,8 +10,7 @@ namespace relidar {
 struct Buffer::Impl {
     Device::Impl* device = nullptr;
     VkBuffer handle = VK_NULL_HANDLE;
-    /// Memory of the buffer. It has several pieces if the buffer is larger than the
-    /// driver's maximum allocation.
+    /// Several pieces if the buffer is larger than the driver's maximum allocation.
     std::vector<gpu::MemorySuballocation> memory;
     gpu::BufferPurpose use;
     std::uint64_t address = 0;

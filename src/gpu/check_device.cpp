@@ -57,8 +57,7 @@ constexpr std::array<const char*, RELIDAR_CHECK_RESULTS> kOperations = {
     "prefix sum over a workgroup",
     "sum over a workgroup",
 };
-/// Index in kOperations of "function subgroupAdd in a branch". The result is checked only
-/// on devices that guarantee that lanes reconverge after a branch.
+/// Checked only on devices that guarantee that lanes reconverge after a branch.
 constexpr std::size_t kInBranch = 8;
 constexpr std::uint32_t kCheckWorkgroup = 256;
 

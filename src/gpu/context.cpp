@@ -107,8 +107,7 @@ VulkanInstance::VulkanInstance(bool validation) {
     VkInstanceCreateInfo info{VK_STRUCTURE_TYPE_INSTANCE_CREATE_INFO};
     info.pApplicationInfo = &app;
     VkDebugUtilsMessengerCreateInfoEXT debug = make_debug_messenger_create_info(this);
-    // VK_EXT_debug_utils is enabled even without validation, so that debuggers show the
-    // names of objects.
+    // Also without validation, so that debuggers show the names of objects.
     if (validation || is_debug_utils_extension_available()) {
         info.enabledExtensionCount = 1;
         info.ppEnabledExtensionNames = &extension;
@@ -163,8 +162,7 @@ std::vector<DeviceInfo> describe_physical_devices(const std::vector<VkPhysicalDe
     return infos;
 }
 
-/// Returns the index of the requested device. If none is requested, prefers GPUs to CPU
-/// devices, and GPUs with ray queries to GPUs without them.
+/// Prefers GPUs to CPU devices, and GPUs with ray queries to other GPUs.
 int choose_device_index(const std::vector<DeviceInfo>& device_infos, const DeviceOptions& options) {
     if (device_infos.empty())
         throw DeviceError(
@@ -202,8 +200,7 @@ void throw_if_backend_unsupported(const DeviceInfo& info, RayTracingBackend requ
         fail<DeviceError>(
             "cannot open device {} ({}) with software traversal: it lacks {}; use --traversal auto",
             info.index, info.name, info.why_not_software);
-    // SwiftShader cannot run the tracing kernels. It is accepted anyway, because tests
-    // run all other kernels on it.
+    // SwiftShader cannot run the tracing kernels, but tests run all other kernels on it.
     const bool runs_the_rest = gpu::is_swiftshader(info);
     if (requested_backend == RayTracingBackend::automatic &&
         choose_best_ray_tracing_backend(info) == RayTracingBackend::automatic && !runs_the_rest)
@@ -247,8 +244,7 @@ Device::Device(const DeviceOptions& options) : impl_(std::make_unique<Impl>()) {
     impl_->traversal = options.traversal == RayTracingBackend::automatic
                            ? choose_best_ray_tracing_backend(impl_->info)
                            : options.traversal;
-    // If no traversal method works, selects the software tree. The constructor of the
-    // software tree then throws an error with the reason.
+    // The constructor of the software tree then throws an error with the reason.
     if (impl_->traversal == RayTracingBackend::automatic) impl_->traversal = RayTracingBackend::software;
     impl_->physical = physical[static_cast<std::size_t>(index)];
     impl_->memory_limit_bytes = options.memory_limit_bytes;
@@ -284,8 +280,7 @@ void Device::Impl::open_device_with_pipeline_cache(const std::filesystem::path& 
 
 namespace {
 
-/// Feature structs of Vulkan extensions, with all features enabled.
-/// create_logical_device() requests only the features that the device supports.
+/// With all features enabled. Only supported features are requested.
 struct ExtensionFeatures {
     VkPhysicalDeviceAccelerationStructureFeaturesKHR accel{
         VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_ACCELERATION_STRUCTURE_FEATURES_KHR};

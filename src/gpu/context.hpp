@@ -34,8 +34,7 @@ std::string get_vulkan_result_name(VkResult result);
 struct VulkanInstance {
     VkInstance handle = VK_NULL_HANDLE;
     VkDebugUtilsMessengerEXT messenger = VK_NULL_HANDLE;
-    /// Function that destroys the debug messenger of this instance. It is stored here
-    /// because volk's global function pointer becomes null if an instance without the
+    /// Stored here because volk's global pointer becomes null if an instance without the
     /// extension is opened later.
     PFN_vkDestroyDebugUtilsMessengerEXT destroy_messenger = nullptr;
     std::atomic<std::size_t> n_messages{0};
@@ -48,8 +47,7 @@ struct VulkanInstance {
     std::vector<VkPhysicalDevice> list_physical_devices() const;
 };
 
-/// Sets the name of a Vulkan object, which debuggers and the validation layer show. Has
-/// no effect if the Vulkan loader lacks VK_EXT_debug_utils.
+/// Has no effect if the Vulkan loader lacks VK_EXT_debug_utils.
 template <class Handle>
 void set_vulkan_object_name(VkDevice device, VkObjectType object_type, Handle handle,
                             const std::string& object_name) {
@@ -70,13 +68,11 @@ struct Missing {
     }
 };
 
-/// Optional guarantees about subgroups. Kernels also run on devices that behave in this
-/// way without a guarantee.
+/// Kernels also run on devices that behave in this way without a guarantee.
 struct OptionalFeatures {
     /// True if a kernel can request subgroups of exactly DeviceInfo::subgroup_size lanes.
     bool subgroup_size = false;
-    /// True if a kernel can request full subgroups, in which all lanes are active at the
-    /// start.
+    /// Full subgroups: all lanes are active at the start.
     bool full_subgroups = false;
     bool subgroup_uniform_control_flow = false;
     bool maximal_reconvergence = false;
@@ -96,15 +92,10 @@ std::string list_missing_neural_network_features(
     const VkPhysicalDeviceSubgroupSizeControlProperties& size_control_properties,
     const OptionalFeatures& optional_features);
 
-/// Cache of compute pipelines. The key is the kernel name, its specialisation constants
-/// and its subgroup requirements. Kernels with equal keys share one pipeline until the
-/// device is closed.
-///
-/// Sharing saves time because trainings and renderers create dozens of kernels. The CPU
-/// driver lavapipe needs 10 ms for each pipeline, even if its code is cached.
-///
-/// A GPU's driver needs seconds to compile a pipeline that is not in its cache. Therefore
-/// a thread starts to compile a pipeline as soon as its kernel is created.
+/// Kernels with equal names, constants and subgroup requirements share one pipeline until
+/// the device is closed, because trainings and renderers create dozens of kernels.
+/// lavapipe needs 10 ms for each pipeline, even if its code is cached. A GPU's driver
+/// needs seconds, so a thread compiles a pipeline as soon as its kernel is created.
 struct ComputePipelines {
     struct CompiledPipeline {
         VkResult result;
@@ -142,8 +133,7 @@ struct Device::Impl {
         std::uint64_t n_bytes;
         const char* name;
     };
-    /// Maximum size of an array, and maximum size of one memory allocation. If
-    /// `binds_sparse` is true, an array larger than largest_allocation consists of
+    /// If `binds_sparse` is true, an array larger than largest_allocation consists of
     /// several allocations.
     DriverMemoryLimit largest_buffer{}, largest_allocation{};
     std::unique_ptr<gpu::DeviceMemoryAllocator> memory;
@@ -152,34 +142,27 @@ struct Device::Impl {
     gpu::ComputePipelines pipelines;
     gpu::LaunchTimeLimit launch_limit;
     std::mutex queue_mutex;
-    /// Layout of all compute pipelines. The push constants are two device addresses: the
-    /// address of the parameter struct, and the address of the buffer `nothing` (see
-    /// below).
+    /// The push constants are the addresses of the parameter struct and of `nothing`.
     VkPipelineLayout pipeline_layout = VK_NULL_HANDLE;
-    /// Buffer of zeros. If a kernel launch leaves out an array, the kernel gets the
-    /// address of this buffer instead.
+    /// Zeros. Kernels get this address instead of an array that a launch leaves out.
     std::unique_ptr<Buffer::Impl> nothing;
     std::uint64_t memory_limit_bytes = 0;  ///< Maximum size of all arrays in bytes. 0 means no limit.
     bool compile_only = false;
-    /// True if the device failed the test of atomic additions with both methods (float
-    /// atomics and compare-and-swap).
+    /// The device failed the test of atomic additions with both methods.
     bool wrong_sums = false;
-    /// True if every kernel must request subgroups of DeviceInfo::subgroup_size lanes,
-    /// because the device failed the test with the driver's default size.
+    /// The device failed the test with the driver's default size of subgroups.
     bool forced_lanes = false;
     ForcedBehaviour forced;  ///< Behaviour that a test has selected instead of the default.
-    /// If true (GPU), pipelines are compiled when their kernels are created. If false
-    /// (CPU), each pipeline is compiled at its first launch.
+    /// On a GPU. On a CPU, each pipeline is compiled at its first launch.
     bool compiles_ahead = false;
     bool pipeline_statistics = false;  ///< True if VK_KHR_pipeline_executable_properties is enabled.
-    /// Statistics of the driver's compiler for each pipeline. Collected only if the
-    /// device was opened for compilation only.
+    /// Only if the device was opened for compilation only.
     std::vector<PipelineStatistics> compiled;
     std::atomic<std::uint64_t> allocated{0};  ///< Total size of all allocated arrays, in bytes.
     std::atomic<std::uint64_t> peak{0};
     std::atomic<int> n_recording{0};
-    /// Buffer that was kept because an exception destroyed its owner while a stream had
-    /// recorded commands. These commands may use the buffer, so it is freed later.
+    /// An exception destroyed its owner while a stream had recorded commands that may use
+    /// it.
     struct OrphanedBuffer {
         VkBuffer handle;
         std::vector<gpu::MemorySuballocation> memory;

@@ -17,15 +17,9 @@
 namespace relidar {
 namespace {
 
-/// Copies `n_vectors` vectors several times. Returns the duration of the fastest copy in
-/// seconds.
-///
 /// Alternates between a copy kernel and the driver's copy command, because either of them
-/// can be faster. A GPU's driver may use only a part of the GPU. A CPU's driver moves
-/// larger pieces than kernel threads do.
-///
-/// A GPU raises its clock only under load, so the copies run without pauses. A CPU device
-/// runs each kind of copy only once, because each copy takes seconds there.
+/// can be faster. A GPU raises its clock only under load, so the copies run without
+/// pauses. A CPU device runs each kind of copy only once, because it takes seconds there.
 double measure_fastest_copy_s(Device& device, std::size_t n_vectors) {
     const Array<glm::vec4, shared::CopySource> from(device, n_vectors, "source of a test copy");
     const Array<glm::vec4, shared::CopyTarget> to(device, n_vectors, "target of a test copy");

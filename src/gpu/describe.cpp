@@ -101,9 +101,8 @@ bool can_request_full_subgroups_of_one_size(
            (optional_features.subgroup_size && optional_features.full_subgroups);
 }
 
-/// Returns true for lavapipe on arm64 if its compiler is LLVM 19 or older. On a CPU
-/// without LSE atomics, this compiler ignores stores that fail when several threads add
-/// to a float (llvm/llvm-project, issue 150988), so sums are too small.
+/// lavapipe on arm64 with LLVM 19 or older ignores failed stores on a CPU without LSE
+/// atomics (llvm/llvm-project, issue 150988), so sums are too small.
 bool does_driver_lose_float_additions([[maybe_unused]] const VkPhysicalDeviceDriverProperties& driver) {
 #if defined(__aarch64__)
     constexpr int kFirstCorrectLlvm = 20;
@@ -170,8 +169,7 @@ std::string list_missing_kernel_features(const VkPhysicalDeviceProperties& prope
                                          const VkPhysicalDeviceSubgroupProperties& subgroup_properties) {
     Missing base;
     base.add_name_if_feature_missing(properties.apiVersion >= VK_API_VERSION_1_3, "Vulkan 1.3");
-    // On some CPUs, the compiler of lavapipe (Mesa's CPU driver) before version 24.1
-    // terminates the process when it compiles relidar's kernels (docs/debugging.md).
+    // Older compilers of lavapipe terminate the process on some CPUs (docs/debugging.md).
     int mesa_major = 0, mesa_minor = 0;
     const bool is_old_lavapipe =
         driver_properties.driverID == VK_DRIVER_ID_MESA_LLVMPIPE &&

@@ -9,15 +9,13 @@
 
 namespace relidar {
 
-/// Returns the number of warnings and errors that the Vulkan validation layer has
-/// reported. Returns 0 if validation is disabled.
+/// Warnings and errors of the Vulkan validation layer.
 std::size_t get_validation_message_count(const Device& device);
 
 /// Behaviour of a device that a test can select instead of the default of the device.
 struct ForcedBehaviour {
     bool brute_force = false;
-    /// True: neighbouring threads access neighbouring floats (coalesced). False: each
-    /// thread accesses consecutive floats. Default: false on a CPU, else true.
+    /// Whether neighbouring threads access neighbouring floats. Default: not on a CPU.
     std::optional<bool> coalesces = std::nullopt;
     std::optional<int> side_by_side = std::nullopt;
 };

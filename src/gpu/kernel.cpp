@@ -28,13 +28,12 @@ std::span<const std::uint32_t> get_embedded_kernel_spirv(std::string_view kernel
                 fmt::format("cannot create kernel {}: src/CMakeLists.txt does not list it", kernel_name));
 }
 
-/// Kernels that need reconvergence of lanes. They use subgroup operations in branches, or
-/// in loops that lanes leave at different times.
+/// They use subgroup operations in branches, or in loops that lanes leave early.
 constexpr std::array<std::string_view, 3> kReconverging{"diff/accel/bvh_cluster", "diff/backward/trace",
                                                         "gpu/check_subgroups"};
 
-/// Returns true for lavapipe up to version 25.0, which skips a load in a branch that no
-/// lane takes. Later versions may execute this load, which may crash.
+/// lavapipe up to 25.0. Later versions execute a load in an untaken branch, which may
+/// crash.
 bool skips_loads_in_untaken_branches(const std::string& driver_name) {
     int major = 0, minor = 0;
     const std::size_t version = driver_name.find("Mesa ");
@@ -85,8 +84,7 @@ gpu::ComputePipelines::CompiledPipeline create_compute_pipeline(
                                               constants.size() * sizeof(SpecialisationConstant),
                                               constants.data()};
     VkComputePipelineCreateInfo info{VK_STRUCTURE_TYPE_COMPUTE_PIPELINE_CREATE_INFO};
-    // Large launches are split into several dispatches. This flag lets a dispatch begin
-    // at any workgroup.
+    // Large launches are split. This flag lets a dispatch begin at any workgroup.
     info.flags = VK_PIPELINE_CREATE_DISPATCH_BASE_BIT;
     if (device.pipeline_statistics) info.flags |= VK_PIPELINE_CREATE_CAPTURE_STATISTICS_BIT_KHR;
     info.stage.sType = VK_STRUCTURE_TYPE_PIPELINE_SHADER_STAGE_CREATE_INFO;
@@ -241,8 +239,8 @@ void query_pipeline_statistics(VkDevice device, VkPipeline pipeline, PipelineSta
         vkGetPipelineExecutablePropertiesKHR(device, &info, &n, executables.data()),
         "vkGetPipelineExecutablePropertiesKHR");
     if (n == 0) return;
-    // Some drivers (Intel) compile one executable per subgroup size. The last executable
-    // has the largest subgroups.
+    // Intel compiles one executable per subgroup size. The last has the largest
+    // subgroups.
     statistics.subgroup_size = static_cast<int>(executables[n - 1].subgroupSize);
     VkPipelineExecutableInfoKHR program{VK_STRUCTURE_TYPE_PIPELINE_EXECUTABLE_INFO_KHR};
     program.pipeline = pipeline;

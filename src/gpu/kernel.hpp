@@ -36,9 +36,8 @@ struct SpecialisationConstant {
     std::uint32_t value;
 };
 
-/// Whether a kernel requires full subgroups, with exactly DeviceInfo::subgroup_size
-/// active lanes. Kernels that compute thread indices from subgroups require full
-/// subgroups, because some compilers choose smaller subgroups.
+/// Kernels that compute thread indices from subgroups require full subgroups, because
+/// some compilers choose smaller ones.
 enum class SubgroupRequirement { any, full };
 
 /// Returns an empty text if the kernel is unknown.
@@ -58,14 +57,11 @@ consteval std::string_view get_unqualified_struct_name() {
     return text.substr(text.rfind(':') + 1);
 }
 
-/// Compute pipeline on a device. Kernels with the same name and constants share one
-/// pipeline. Uses the device's default workgroup size unless a constant sets the size.
+/// Uses the device's default workgroup size unless a constant sets the size.
 class KernelBase {
 public:
-    /// Creates a kernel. On a GPU, another thread starts to compile the pipeline
-    /// immediately. On a CPU device, the first launch compiles it. If the driver rejects
-    /// the kernel, the first launch throws a DeviceError.
-    /// @param kernel_name name of an embedded kernel
+    /// On a GPU, another thread starts to compile the pipeline, on a CPU device the first
+    /// launch. If the driver rejects the kernel, the first launch throws a DeviceError.
     KernelBase(Device& device, std::string_view kernel_name,
                const std::vector<SpecialisationConstant>& constants = {},
                SubgroupRequirement subgroup_requirement = SubgroupRequirement::any);
@@ -82,8 +78,7 @@ private:
     void compile_pipeline_and_store_statistics();
 };
 
-/// Name of a kernel, for example "stage/stem". Compilation fails if the parameter struct
-/// of the kernel with this name is not Params.
+/// Compilation fails if the parameter struct of the kernel with this name is not Params.
 template <class Params>
 class KernelName {
 public:
@@ -98,8 +93,7 @@ private:
     std::string_view name_;
 };
 
-/// Suffix that selects a variant of a kernel, for example "@ray_query_atomics".
-/// cmake/Kernels.cmake defines the variants.
+/// For example "@ray_query_atomics". cmake/Kernels.cmake defines the variants.
 struct KernelVariant {
     std::string suffix;
 

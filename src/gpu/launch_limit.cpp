@@ -19,9 +19,8 @@ double KernelSpeed::estimate_dispatch_duration_s(std::uint32_t n_workgroups) con
 
 bool KernelSpeed::should_measure_next_dispatch(double target_dispatch_s, std::uint32_t n_workgroups) {
     constexpr std::uint64_t kFirst = 8, kEvery = 64;
-    // Does not measure small dispatches, because their fixed cost would make the kernel
-    // look slow. Exception: the launches of a slow kernel are split into small
-    // dispatches. They are measured, so that a kernel that has become faster is noticed.
+    // The fixed cost of small dispatches would make the kernel look slow. The pieces of a
+    // slow kernel are measured, so that a kernel that has become faster is noticed.
     if (n_workgroups < std::min(kUnknownGroups / 4, choose_workgroups_per_dispatch(target_dispatch_s) / 2))
         return false;
     const std::uint64_t n = n_dispatches_++;
@@ -29,9 +28,7 @@ bool KernelSpeed::should_measure_next_dispatch(double target_dispatch_s, std::ui
 }
 
 void KernelSpeed::update_speed_from_dispatch(std::uint32_t n_workgroups, double duration_s) {
-    // Keeps the maximum of the measured times per workgroup, because a kernel may be
-    // slower in another scene. Each new measurement multiplies the old maximum by
-    // kForget, so that old measurements lose weight.
+    // Keeps the maximum, because a kernel may be slower in another scene.
     constexpr double kForget = 0.9;
     s_per_group_ = std::max(duration_s / n_workgroups, kForget * s_per_group_);
 }

@@ -12,8 +12,7 @@
 
 namespace relidar::gpu {
 
-/// Measured speed of a kernel on a device. Several threads may share an object. The
-/// object has no lock, because every launch reads it. If two threads add measurements
+/// Has no lock, because every launch reads it. If two threads add measurements
 /// simultaneously, one measurement can be lost.
 class KernelSpeed {
 public:
@@ -34,8 +33,7 @@ private:
 
 class LaunchTimeLimit {
 public:
-    /// Target duration of a dispatch and of a submission, in seconds. It is half of the
-    /// duration that drivers allow, because speeds vary. 0 = no limit.
+    /// Half of the duration that drivers allow, because speeds vary. 0 = no limit.
     double piece_s = 0.0;
 
     bool has_dispatch_time_limit() const { return piece_s > 0.0; }

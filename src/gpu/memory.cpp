@@ -14,8 +14,7 @@ namespace relidar::gpu {
 
 namespace {
 
-// Alignment of all buffers in bytes. Acceleration structures need this alignment. All
-// other buffers need less.
+// Acceleration structures need this alignment in bytes.
 constexpr std::uint64_t kAlignment = 256;
 
 std::vector<VkMemoryPropertyFlags> list_memory_flags_best_first(BufferPurpose purpose) {
@@ -103,8 +102,8 @@ std::uint64_t DeviceMemoryAllocator::compute_new_block_size_bytes(std::uint32_t 
     return heap_bytes ? std::min(kBlockBytes, heap_bytes / 16) : kBlockBytes;
 }
 
-/// Returns the memory types that satisfy the requirements, best first. Device memory that
-/// the host can access may be scarce. Therefore only small parameter buffers may use it.
+/// Best first. Device memory that the host can access may be scarce, so only small
+/// parameter buffers may use it.
 std::vector<std::uint32_t> DeviceMemoryAllocator::list_suitable_memory_types(
     const VkMemoryRequirements& requirements, BufferPurpose purpose) const {
     std::vector<std::uint32_t> suitable_types;
@@ -190,8 +189,7 @@ VkResult DeviceMemoryAllocator::map_block_to_host(MemoryBlock& block) {
     return result;
 }
 
-/// Releases the memory of a buffer. Keeps one empty block of each memory type. Otherwise
-/// short-lived buffers would repeatedly allocate and free the same block.
+/// Keeps one empty block of each memory type for short-lived buffers.
 void DeviceMemoryAllocator::release_suballocation(const MemorySuballocation& suballocation) {
     const std::lock_guard lock(mutex_);
     suballocation.block->free.release_range(suballocation.offset, suballocation.n_bytes);

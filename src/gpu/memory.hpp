@@ -18,16 +18,13 @@
 
 namespace relidar::gpu {
 
-/// Purpose of a buffer, which determines its Vulkan memory type. All buffers except those
-/// with the purpose `device` stay mapped and are host-coherent.
+/// All buffers except `device` stay mapped and are host-coherent.
 enum class BufferPurpose {
     device,  ///< Arrays that kernels read and write.
-    /// Parameters that the host writes and kernels read. In device memory if the host can
-    /// write to it.
+    /// Written by the host, in device memory if possible.
     parameters,
     upload,  ///< Staging memory that the host writes and copy commands read.
-    /// Staging memory for copies from the device, which the host reads. Host-cached if
-    /// the device has such memory.
+    /// Read by the host, host-cached if possible.
     readback,
 };
 

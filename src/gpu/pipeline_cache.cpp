@@ -29,8 +29,7 @@ struct PipelineCacheHeader {
 PipelineCacheHeader make_pipeline_cache_header(std::string_view cache_data) {
     PipelineCacheHeader header;
     header.n_bytes = cache_data.size();
-    // The hash (FNV-1a) detects damaged cache files. A damaged file could crash the
-    // driver, because drivers check only the header of their data.
+    // FNV-1a. Drivers check only the header of their data and could crash.
     header.hash = 0xcbf29ce484222325u;
     for (const char byte : cache_data)
         header.hash = (header.hash ^ static_cast<unsigned char>(byte)) * 0x100000001b3u;
@@ -64,8 +63,7 @@ std::string read_cache_data_if_valid(const std::filesystem::path& path,
 void try_replace_file_atomically(const std::filesystem::path& path, std::string_view bytes) {
     std::error_code failed;
     std::filesystem::create_directories(path.parent_path(), failed);
-    // Makes the names of temporary files unique, because one process may close several
-    // devices simultaneously.
+    // One process may close several devices simultaneously.
     static std::atomic<unsigned> count{0};
     const std::filesystem::path temporary = fmt::format("{}.{}-{}", path.string(), ::getpid(), count++);
     std::ofstream file(temporary, std::ios::binary);
@@ -105,8 +103,7 @@ void PipelineCache::save_cache_to_file() const {
     std::size_t n_bytes = 0;
     if (vkGetPipelineCacheData(device_, handle_, &n_bytes, nullptr) != VK_SUCCESS || n_bytes <= read_bytes_)
         return;
-    // Does not write data without a complete header. The lavapipe of Mesa 26.2 returns
-    // such data (20 bytes).
+    // The lavapipe of Mesa 26.2 returns data without a complete header (20 bytes).
     if (n_bytes < sizeof(VkPipelineCacheHeaderVersionOne)) return;
     std::string bytes(n_bytes, '\0');
     if (vkGetPipelineCacheData(device_, handle_, &n_bytes, bytes.data()) != VK_SUCCESS) return;

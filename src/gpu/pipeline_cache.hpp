@@ -13,8 +13,7 @@
 
 namespace relidar::gpu {
 
-/// Replaces a file of the cache folder atomically, because other processes may read it.
-/// Ignores failures, because a missing cache file only makes the next start slower.
+/// Atomically. Ignores failures, because they only make the next start slower.
 void try_replace_file_atomically(const std::filesystem::path& path, std::string_view bytes);
 
 /// Unique for the device and its driver version.

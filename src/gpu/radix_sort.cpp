@@ -15,9 +15,8 @@
 namespace relidar {
 namespace {
 
-// Number of threads of kernel gpu/radix_scan. With 32 lanes per subgroup, it has one
-// subgroup for each of the 256 digit values. With fewer lanes, some subgroups have no
-// work. With 64 lanes, each subgroup processes two digit values.
+// One subgroup of 32 lanes for each of the 256 digit values. Subgroups of 64 lanes
+// process two values, and some of fewer lanes have no work.
 constexpr std::uint32_t kScanThreads = 32 * RELIDAR_TILE_THREADS;
 
 }  // namespace

@@ -20,8 +20,7 @@ struct ExecutionMode {
     std::string_view extension;
 };
 
-/// Guarantees that the lanes of a subgroup reconverge after a branch, if all of them
-/// entered it together.
+/// If all lanes entered the branch together.
 inline constexpr ExecutionMode kSubgroupUniformControlFlow{4421, "SPV_KHR_subgroup_uniform_control_flow"};
 /// Guarantees that lanes reconverge after every branch and loop.
 inline constexpr ExecutionMode kMaximallyReconverges{6023, "SPV_KHR_maximal_reconvergence"};
@@ -32,25 +31,18 @@ std::vector<std::uint32_t> add_execution_mode_to_spirv(std::span<const std::uint
 
 std::vector<std::uint32_t> mark_parameter_block_read_only(std::span<const std::uint32_t> spirv_words);
 
-/// Returns a copy of a SPIR-V module that loads all parameters once, at the start of the
-/// kernel. Used only for the CPU driver lavapipe. It would otherwise repeat the loads for
-/// each lane in loops and branches. Compilers of GPUs choose a better time for each load.
+/// Loads all parameters once, at the start of the kernel. Only for lavapipe, which would
+/// repeat the loads for each lane in loops and branches.
 std::vector<std::uint32_t> hoist_parameter_loads(std::span<const std::uint32_t> spirv_words);
 
-/// Returns a copy of a module in which the compiler cannot prove that array indices are
-/// uniform, that is, equal in all lanes. Used for versions of lavapipe after 25.0. They
-/// execute a load with a uniform index even in a branch that no lane takes. The index can
-/// then have any value, so the load may crash. A load with a non-uniform index runs only
-/// for active lanes.
-///
-/// Call this function before hoist_parameter_loads(), which moves the loads of
-/// parameters.
+/// Makes array indices non-uniform for the compiler. lavapipe after 25.0 executes a load
+/// with a uniform index even in a branch that no lane takes, and may crash. Call this
+/// before hoist_parameter_loads(), which moves the loads of parameters.
 std::vector<std::uint32_t> make_array_indices_nonuniform(std::span<const std::uint32_t> spirv_words);
 
-/// Returns a copy of a SPIR-V module without branches that depend only on specialisation
-/// constants. Unreachable blocks stay in the module. lavapipe then compiles large kernels
-/// faster. It would remove these branches too, but only after inlining all functions.
-/// @param constant_value_by_id values by id. Other constants keep their default value
+/// Unreachable blocks stay in the module. lavapipe would remove the branches only after
+/// inlining all functions, which is slow.
+/// @param constant_value_by_id other constants keep their default value
 std::vector<std::uint32_t> remove_constant_branches(
     std::span<const std::uint32_t> spirv_words,
     const std::map<std::uint32_t, std::uint32_t>& constant_value_by_id);

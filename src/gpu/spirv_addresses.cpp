@@ -24,8 +24,7 @@ public:
     void append_pointer_member_offsets(std::uint32_t type_id, std::uint32_t value_offset_bytes,
                                        std::vector<std::uint32_t>& pointer_offsets) const {
         const auto type_entry = types_.find(type_id);
-        // `types_` contains only pointers, arrays and structs. Other types (numbers and
-        // vectors) cannot contain a device address.
+        // Numbers and vectors cannot contain a device address.
         if (type_entry == types_.end()) return;
         const SpirvInstruction t = type_entry->second;
         switch (t[0] & 0xffffu) {
@@ -48,8 +47,7 @@ private:
     std::uint32_t block_ = 0;
     std::map<std::uint32_t, SpirvInstruction> types_;  ///< Pointer, array and struct types.
     std::map<std::uint32_t, std::uint32_t> constants_, strides_;
-    /// Byte offset of each struct member. The key is the id of the struct and the index
-    /// of the member.
+    /// By the id of the struct and the index of the member.
     std::map<std::pair<std::uint32_t, std::uint32_t>, std::uint32_t> offsets_;
 
     void store_type_information(std::uint32_t opcode, SpirvInstruction instruction) {

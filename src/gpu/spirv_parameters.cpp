@@ -30,8 +30,7 @@ struct SpirvModule {
     std::map<std::uint32_t, SpirvWords> types;         ///< Types by id.
     std::map<std::uint32_t, std::uint32_t> constants;  ///< 32-bit integer constants by id.
     std::set<std::uint32_t> addresses;  ///< Ids that contain the address of the parameter block.
-    /// Path to each parameter, as member indices of nested structs. The key is the id of
-    /// an OpAccessChain instruction, which computes a pointer to the parameter.
+    /// By the id of the OpAccessChain that computes a pointer to the parameter.
     std::map<std::uint32_t, MemberPath> parameter_paths;
 
     explicit SpirvModule(std::span<const std::uint32_t> words) : bound(words[3]) {
@@ -74,8 +73,7 @@ private:
     }
 };
 
-/// Edits a SPIR-V module so that it loads parameters only once: declares private
-/// variables, and replaces loads of parameters by loads of these variables.
+/// Replaces loads of parameters by loads of private variables.
 class ParameterLoadHoister {
 public:
     explicit ParameterLoadHoister(const SpirvModule& module) : module_(module), next_(module.bound) {}
@@ -196,8 +194,7 @@ private:
         for (const auto& [path, v] : variables_) {
             const std::uint32_t to_storage =
                 get_or_declare_pointer_type(storage_pointer_, kPhysicalStorage, v.type);
-            // Reserves these ids first, because get_or_declare_int_constant() also
-            // creates ids.
+            // get_or_declare_int_constant() also creates ids.
             const std::uint32_t at = next_++, value = next_++;
             SpirvWords access_chain{std::uint32_t(path.size() + 4) << 16 | kOpAccessChain, to_storage, at,
                                     block};

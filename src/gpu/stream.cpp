@@ -124,9 +124,7 @@ void Stream::Impl::add_command_to_current_sequence(const std::string& command_na
     record_or_defer_barrier();
 }
 
-/// Records the commands of all lanes (concurrent sequences), step by step. Each step has
-/// a single pair of timestamps. With more timestamps, the commands of a step would have
-/// to wait for each other.
+/// Each step has a single pair of timestamps, because more would serialise its commands.
 void Stream::Impl::record_commands_of_concurrent_sequences() {
     std::size_t n_steps = 0;
     for (const CommandSequence& one : lanes) n_steps = std::max(n_steps, one.size());
@@ -241,8 +239,8 @@ std::uint64_t Stream::Impl::stage_kernel_parameters(const KernelBase& kernel, co
     return stage_host_bytes_for_kernels(params.data(), n_bytes).address;
 }
 
-/// Rows and columns of workgroups, because Vulkan limits the number in one dimension. A
-/// launch that would take too long is split into dispatches of consecutive rows.
+/// Rows of workgroups, because Vulkan limits the number in one dimension. A slow launch
+/// is split into dispatches of consecutive rows.
 struct Stream::Impl::Dispatch {
     VkPipeline pipeline;
     std::array<std::uint64_t, 2> pushed;
@@ -269,8 +267,7 @@ Stream::Impl::Dispatch split_launch_into_dispatches(VkPipeline pipeline,
     constexpr std::uint32_t kMaxGroups = 65535;
     const std::uint32_t columns = std::max(std::min({n_workgroups, kMaxGroups, max_workgroups_per_dispatch}),
                                            (n_workgroups - 1) / kMaxGroups + 1);
-    // Gives all rows the same number of workgroups, so that the launch has few
-    // superfluous workgroups.
+    // Equal rows, so that the launch has few superfluous workgroups.
     const std::uint32_t rows = (n_workgroups - 1) / columns + 1, even_columns = (n_workgroups - 1) / rows + 1;
     // A launch that is short enough, or must not be split, is one dispatch.
     const std::uint32_t rows_per_piece = max_workgroups_per_dispatch >= n_workgroups
@@ -296,8 +293,7 @@ void Stream::Impl::record_kernel_launch(const KernelBase& kernel, std::uint32_t 
     const gpu::KernelSpeed* speed = limit.has_dispatch_time_limit() ? kernel.impl().speed : nullptr;
     const Dispatch dispatch = split_launch_into_dispatches(
         pipeline, pushed, n_groups, speed ? speed->choose_workgroups_per_dispatch(limit.piece_s) : n_groups);
-    // Launches in lanes (concurrent sequences) are not split, because their commands are
-    // recorded later and in a single submission.
+    // Lanes are not split, because their commands are recorded later, in one submission.
     if (speed && lanes.empty()) return record_and_submit_dispatch_pieces(kernel.impl(), dispatch);
     record_command(name, [layout = device->pipeline_layout, dispatch](VkCommandBuffer commands) {
         for (std::uint32_t row = 0; row < dispatch.rows; row += dispatch.rows_per_piece)
@@ -311,9 +307,8 @@ void Stream::Impl::record_and_submit_dispatch_pieces(const KernelBase::Impl& ker
     for (std::uint32_t row = 0; row < dispatch.rows; row += dispatch.rows_per_piece) {
         const std::uint32_t n_groups = dispatch.count_rows_of_dispatch_piece(row) * dispatch.columns;
         double expected_s = kernel.speed->estimate_dispatch_duration_s(n_groups);
-        // If the speed of the kernel is unknown (expected_s is 0), each piece of a split
-        // launch must get a separate submission. A submission may last at most `piece_s`.
-        // So this estimate leaves no time for a second piece.
+        // If the speed is unknown, each piece of a split launch gets a separate
+        // submission.
         if (expected_s == 0.0 && n_groups < dispatch.rows * dispatch.columns) expected_s = piece_s;
         get_recording_command_buffer();
         if (recorded_s > 0.0 && recorded_s + expected_s > piece_s) submit_recorded_commands();
@@ -400,8 +395,7 @@ ConcurrentSequenceScope::ConcurrentSequenceScope(Stream& stream, std::size_t cou
 
 ConcurrentSequenceScope::~ConcurrentSequenceScope() {
     Stream::Impl& s = stream_.impl();
-    // After an exception the commands are dropped, because the arrays that they use may
-    // be destroyed.
+    // After an exception, the arrays that the commands use may be destroyed.
     if (std::uncaught_exceptions() == 0) s.record_commands_of_concurrent_sequences();
     s.lanes.clear();
 }
@@ -422,8 +416,7 @@ std::uint64_t Stream::submit_commands() {
         throw Error(ExitCode::bug, "cannot submit commands: a ConcurrentLaunchScope is still open");
     s.record_commands_of_concurrent_sequences();
     VkCommandBuffer commands = s.get_recording_command_buffer();
-    // Marks the end of a frame. RenderDoc and GFXReconstruct need this label to capture a
-    // program that has no window.
+    // RenderDoc and GFXReconstruct need this label to capture a program without a window.
     if (vkCmdInsertDebugUtilsLabelEXT) {
         VkDebugUtilsLabelEXT frame_end{VK_STRUCTURE_TYPE_DEBUG_UTILS_LABEL_EXT};
         frame_end.pLabelName = "vr-marker,frame_end,type,application";

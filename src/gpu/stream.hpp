@@ -25,8 +25,7 @@ struct KernelBase::Impl {
     std::vector<SpecialisationConstant> constants;
     SubgroupRequirement subgroups = SubgroupRequirement::any;
     std::uint32_t workgroup_size = 0;  ///< Number of threads per workgroup.
-    /// Measured speed of the kernel. Null if its launches must not be split into several
-    /// dispatches.
+    /// Null if the launches must not be split into several dispatches.
     gpu::KernelSpeed* speed = nullptr;
     /// Byte offsets at which the parameter struct contains device addresses.
     std::vector<std::uint32_t> addresses = {};
@@ -60,13 +59,12 @@ struct Stream::Impl {
             /// Updated with this measurement. May be null.
             gpu::KernelSpeed* speed;
             std::uint32_t n_groups;  ///< Number of workgroups.
-            /// True if a launch was split, and these commands continue the launch of the
-            /// previous entry of `launches`.
+            /// These commands continue the split launch of the previous entry.
             bool continues;
         };
         std::vector<TimedCommands> launches;
-        /// Memory blocks for values that the host sends to kernels. Their number grows
-        /// until the largest submission fits.
+        /// For values from the host. Their number grows until the largest submission
+        /// fits.
         std::vector<std::unique_ptr<Buffer::Impl>> blocks;
         /// Where the host writes its next value: index in `blocks`, offset in bytes.
         std::size_t block = 0, block_bytes = 0;
@@ -75,8 +73,7 @@ struct Stream::Impl {
     };
 
     using VulkanCommandRecorder = std::function<void(VkCommandBuffer)>;
-    /// Commands of a lane between two barriers. A lane is one of several concurrent
-    /// sequences of commands (ConcurrentSequenceScope).
+    /// Commands of a lane (ConcurrentSequenceScope) between two barriers.
     struct BarrierStep {
         std::string name;  ///< Name of the first command of the step.
         std::vector<VulkanCommandRecorder> commands;
@@ -91,8 +88,7 @@ struct Stream::Impl {
     std::size_t current = 0;
     bool recording = false;  ///< True if commands were recorded but not submitted yet.
     int n_concurrent = 0;    ///< Number of open ConcurrentLaunchScope objects.
-    /// True if commands were recorded in the open ConcurrentLaunchScope, so that a
-    /// barrier must follow at the end of the scope.
+    /// A barrier must follow at the end of the open ConcurrentLaunchScope.
     bool owes_barrier = false;
     std::vector<CommandSequence> lanes = {};
     std::size_t lane = 0;  ///< Index of the lane that receives new commands.
@@ -111,8 +107,7 @@ struct Stream::Impl {
 
     /// Starts a new recording if there is none.
     VkCommandBuffer get_recording_command_buffer();
-    /// Records a command with timestamps, and a barrier after it. In a
-    /// ConcurrentSequenceScope, only stores the command for later.
+    /// With timestamps and a barrier. In a ConcurrentSequenceScope, stored for later.
     template <class Recorded>
     void record_command(const std::string& command_name, Recorded command) {
         if (!lanes.empty()) return add_command_to_current_sequence(command_name, std::move(command));

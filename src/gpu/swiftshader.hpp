@@ -5,8 +5,7 @@
 
 namespace relidar::gpu {
 
-/// Returns true if the driver is SwiftShader. Its compiler terminates the process when it
-/// compiles tracing kernels (docs/debugging.md).
+/// Its compiler terminates the process on tracing kernels (docs/debugging.md).
 inline bool is_swiftshader(const DeviceInfo& info) { return info.driver.starts_with("SwiftShader"); }
 
 }  // namespace relidar::gpu

@@ -74,8 +74,7 @@ void BufferTransfers::copy_buffer(const Buffer::Impl& source, const Buffer::Impl
     copy_buffer_and_wait(source.handle, target.handle, {0, 0, n_bytes});
 }
 
-/// Copies and waits until the copy is complete. Before the copy, no barrier is needed,
-/// because every submission of a stream ends with a barrier.
+/// Needs no barrier before, because every submission of a stream ends with one.
 void BufferTransfers::copy_buffer_and_wait(VkBuffer source, VkBuffer target, const VkBufferCopy& region) {
     if (!done_) create_command_buffer();
     throw_unless_vulkan_success(vkResetCommandPool(device_.device, pool_, 0), "vkResetCommandPool");

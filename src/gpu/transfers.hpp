@@ -29,8 +29,7 @@ private:
     VkCommandPool pool_ = VK_NULL_HANDLE;
     VkCommandBuffer commands_ = VK_NULL_HANDLE;
     VkFence done_ = VK_NULL_HANDLE;
-    /// Staging buffers for copies to and from the device. Allocated at the first copy in
-    /// each direction.
+    /// Allocated at the first copy in each direction.
     std::unique_ptr<Buffer::Impl> upload_, download_;
 
     void create_command_buffer();

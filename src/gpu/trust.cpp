@@ -25,9 +25,7 @@ std::string& get_injected_fault_names() {
     return faults;
 }
 
-/// Test results of devices, kept in memory because they could not be written to a file.
-/// The map key consists of the device, the driver, and the errors that a test of relidar
-/// simulates (environment variable RELIDAR_FAULTS).
+/// Results that could not be written to a file, by device, driver and RELIDAR_FAULTS.
 struct UnsavedTestResults {
     std::mutex mutex;
     std::map<std::string, DeviceTestResults> by_device;
@@ -40,8 +38,7 @@ UnsavedTestResults& get_unsaved_device_test_results() {
 /// If not null, this thread uses these test results instead of testing a device.
 thread_local const DeviceTestResults* fixed_trust = nullptr;
 
-/// Returns the text of the file with a device's test results. A file is accepted only if
-/// its content equals this text exactly, so that damaged files are ignored.
+/// A file is accepted only if it equals this text exactly.
 std::string format_device_test_results(const std::string& driver_version,
                                        const DeviceTestResults& test_results) {
     return fmt::format(
@@ -101,8 +98,7 @@ DeviceTestResults read_or_run_device_test(const Device::Impl& device, const Devi
     VkPhysicalDeviceProperties properties;
     vkGetPhysicalDeviceProperties(device.physical, &properties);
     std::filesystem::path path;
-    // Results are not stored if a test has injected faults, because these results must
-    // not affect later runs.
+    // Injected faults must not affect later runs.
     if (!options.pipeline_cache.empty() && get_injected_fault_names().empty())
         path = options.pipeline_cache / ("check_" + make_cache_file_name(properties) + ".txt");
     const auto is_complete = [&](const std::optional<DeviceTestResults>& trust) {

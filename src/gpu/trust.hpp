@@ -22,9 +22,8 @@ void report_device_note(const std::string& text);
 /// Prints one line for each method. Call it before the device is opened.
 void disable_methods_that_failed_test(Device::Impl& device, const DeviceTestResults& test_results);
 
-/// Makes parts of the device test fail, for tests. The names are separated by commas:
-/// float_atomics, float_swaps, subgroups:N, ray_query. In builds with RELIDAR_ASSERTS,
-/// apply_environment_variables() reads them from RELIDAR_FAULTS.
+/// For tests: float_atomics, float_swaps, subgroups:N, ray_query. In builds with
+/// RELIDAR_ASSERTS, apply_environment_variables() reads them from RELIDAR_FAULTS.
 void set_injected_faults(const std::string& comma_separated_faults);
 bool is_fault_injected(const std::string& fault_name);
 

@@ -6,7 +6,6 @@
 #include <volk.h>
 
 #if defined(__GNUC__)
-// Vulkan structs are initialised with {sType} and then filled member by member, which
-// causes a warning about missing initialisers.
+// Vulkan structs are initialised with {sType} and then filled member by member.
 #pragma GCC diagnostic ignored "-Wmissing-field-initializers"
 #endif

@@ -99,8 +99,7 @@ Acceptor::Acceptor(const std::string& text) {
         const int listener = open_listening_socket(*address);
         if (listener < 0) error = errno;
         if (listener < 0 && error == EADDRINUSE && host_port.port != 0) break;
-        // Skips this address if the machine does not support its address family (IPv4 or
-        // IPv6).
+        // The machine may not support this address family (IPv4 or IPv6).
         if (listener < 0) continue;
         listeners_.push_back(listener);
         port_ = get_bound_port(listener);
@@ -160,8 +159,7 @@ void Acceptor::accept_connection(int listening_socket) {
     const bool has_usable_limit =
         ::getrlimit(RLIMIT_NOFILE, &limit) == 0 && limit.rlim_cur < rlim_t(kMostDescriptors);
     const int most_descriptors = has_usable_limit ? int(limit.rlim_cur) : kMostDescriptors;
-    // The system always assigns the lowest free number, so a high number means that many
-    // descriptors are open.
+    // The system assigns the lowest free number.
     if (connection >= most_descriptors - std::min(kReservedDescriptors, most_descriptors / 4))
         ::close(connection);
     else receive_(listening_socket, connection);

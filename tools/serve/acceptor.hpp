@@ -15,7 +15,6 @@ public:
     /// Must close the file descriptor. Runs on the thread of the acceptor.
     using ConnectionCallback = std::function<void(int listener, int connection)>;
 
-    /// Opens sockets at all network addresses of the host.
     /// @param address HOST:PORT; port 0 selects a free port
     /// @throws UsageError if the address is invalid or not available
     explicit Acceptor(const std::string& address);

@@ -15,8 +15,7 @@ std::shared_ptr<grpc::Channel> open_insecure_channel(const std::string& address)
     grpc::ChannelArguments arguments;
     // Removes the size limit of messages, because a scan of a million rays needs 50 MB.
     arguments.SetMaxReceiveMessageSize(-1);
-    // Gives each channel its own connection, so that channels behave like separate client
-    // processes.
+    // Its own connection, so that channels behave like separate client processes.
     arguments.SetInt(GRPC_ARG_USE_LOCAL_SUBCHANNEL_POOL, 1);
     return grpc::CreateCustomChannel(address, grpc::InsecureChannelCredentials(), arguments);
 }

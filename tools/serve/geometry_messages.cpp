@@ -10,10 +10,8 @@
 namespace relidar::serve {
 namespace {
 
-// Maximum absolute value of a coordinate in metres or of a time in seconds. ScanRenderer
-// rejects larger values.
+// Metres or seconds. ScanRenderer rejects larger values.
 constexpr double kFarthest = 1e10;
-// A quaternion is normalised only if its length differs from 1 by more than this value.
 // Normalising a unit quaternion would only add rounding errors.
 constexpr double kDoublePrecision = 1e-12;
 constexpr int kMostPoses = 100'000;

@@ -12,13 +12,11 @@
 
 namespace relidar::serve {
 
-/// Largest accepted error in the length of a unit vector or unit quaternion. The error is
-/// not zero, because clients may send float values or rounded text.
+/// Of a unit vector or quaternion. Clients may send float values or rounded text.
 inline constexpr double kUnitSlack = 1e-3;
 
-/// @param field_name name of the field in the request, for error messages
-/// @throws RejectedRequest if a value is not finite or too large, or if the rotation is
-/// not a unit quaternion
+/// @throws RejectedRequest if a value is not finite or too large, or the rotation is no
+/// unit quaternion
 Pose read_pose(const v1::Pose& message, const std::string& field_name);
 /// @throws RejectedRequest also if the number of poses is wrong or the times do not
 /// increase

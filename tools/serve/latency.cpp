@@ -73,8 +73,7 @@ LatencyResult measure_latency(const LatencyOptions& options) {
     v1::GetTracksRequest which;
     which.set_scene(result.scene);
     const v1::GetTracksResponse tracks = first.get_tracks(which);
-    // The first call is not measured. It takes longer than later calls, because it
-    // computes the rays of the sensor and allocates memory.
+    // The first call computes the rays of the sensor and allocates memory.
     call_render_and_measure_latency(first, make_sweep_request(options, result.scene, tracks, 0));
 
     std::vector<LatencySample> samples;

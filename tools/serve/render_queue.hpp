@@ -22,17 +22,14 @@ namespace relidar::serve {
 class QueuedRequest {
 public:
     virtual ~QueuedRequest() = default;
-    /// @param is_last_of_batch false if another request of the batch follows, so that
-    /// both can be submitted together
+    /// @param is_last_of_batch false if both requests can be submitted together
     virtual void submit_to_device(bool is_last_of_batch) = 0;
     /// Called only for requests that have a scene.
     virtual void wait_for_device_and_store_response() {}
     /// True if the client has disconnected or its deadline has passed. Polled.
     virtual bool is_cancelled() const { return false; }
 
-    /// Index of the scene to render. Requests for the same scene may be submitted before
-    /// earlier requests have finished. Requests without a value never overlap with other
-    /// requests.
+    /// Requests for the same scene may overlap. Requests without a value never overlap.
     std::optional<std::size_t> scene = {};
     /// Times until submit_to_device(), and from there until the response is ready.
     double get_queued_time_ms() const { return compute_milliseconds_between(queued_at_, submitted_at_); }

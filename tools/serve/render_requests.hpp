@@ -53,13 +53,11 @@ private:
 
 /// Maximum number of scans in one PointsRequest.
 inline constexpr std::size_t kMostAtOnce = 8;
-/// Maximum number of requests in a batch. The device can hold two batches, because the
-/// next batch is submitted before the previous one is read.
+/// The device can hold two batches.
 inline constexpr std::size_t kBatchSize = 4;
 static_assert(2 * kBatchSize * kMostAtOnce <= ScanRenderer::kScansInFlight);
 
-/// Renders several scans of one scene and returns only their points. The device can
-/// render them together with scans of other requests.
+/// Only points. The device can render them together with scans of other requests.
 class PointsRequest final : public ClientRequest {
 public:
     PointsRequest(SceneSet& scenes, const grpc::ServerContext& context,
@@ -73,8 +71,7 @@ private:
     const std::span<const RenderRequest> render_requests_;
     SceneSet::SceneLoadNumber load_{};
     std::size_t n_submitted_ = 0;
-    /// Exception from the submission of a scan. It is thrown again after the earlier
-    /// scans are read, because the renderer returns scans in order.
+    /// Thrown again after the earlier scans are read, because scans return in order.
     std::exception_ptr submit_failure_ = {};
 };
 

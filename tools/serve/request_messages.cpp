@@ -23,8 +23,7 @@ namespace {
 
 constexpr int kMostSensors = 64;                // Maximum number of sensors of a rig.
 constexpr std::size_t kLongestSpawnName = 200;  // Maximum length in bytes of the name of a spawned actor.
-// Longest time in seconds between a scan and the nearest end of the sensor's path. A
-// sweep may begin before the path or end after it, but a larger difference is an error.
+// Seconds between a scan and the nearest end of the sensor's path.
 constexpr double kBeyondPath_s = 1.0;
 
 bool is_time_far_before_or_after_path(double time_s, const PoseTrack& sensor_path) {
@@ -50,8 +49,7 @@ std::vector<std::string> list_actor_names(const std::vector<VisibleActor>& actor
     return names;
 }
 
-/// @throws RejectedRequest if the poses of an actor end long before the scan or begin
-/// long after it
+/// @throws RejectedRequest if poses end long before the scan or begin long after it
 std::vector<RequestedActor> read_requested_actor_poses(const v1::ActorTracks& message, double scan_time_s) {
     std::vector<RequestedActor> wishes;
     for (int i = 0; i < message.actors_size(); ++i) {
@@ -242,8 +240,7 @@ std::vector<ActorToSpawn> RequestReader::read_actors_to_spawn(const v1::SpawnAct
         if (!spawn.has_actor()) throw_invalid_field(field, "neither an actor nor an asset", "one of them");
         const auto actor = std::ranges::find(run_actors, spawn.actor());
         if (actor == run_actors.end()) throw_unknown_name(field + ".actor", spawn.actor(), run_actors);
-        // `visible_actors` begins with the actors of the run, in the same order as
-        // `run_actors`.
+        // `visible_actors` begins with `run_actors`, in the same order.
         const VisibleActor& model = visible_actors[std::size_t(actor - run_actors.begin())];
         wishes.push_back({spawn.name(), {false, spawn.actor()}, model.size_m, model.surfels});
     }

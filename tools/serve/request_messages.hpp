@@ -54,8 +54,7 @@ struct RenderRequest {
 
 std::vector<std::string> list_actor_names_of_run(const TrainedRun& run);
 
-/// Caches the sensors, but keeps no other data of a request. The constructor's arguments
-/// must outlive this object.
+/// Caches only the sensors. The constructor's arguments must outlive this object.
 class RequestReader {
 public:
     /// @param scenes only its thread-safe members are called

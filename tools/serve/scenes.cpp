@@ -54,8 +54,7 @@ SceneSet::SceneLoadNumber SceneSet::load_scene_and_call_with_renderer(
         renderer.set_weather(weather_or_default.value_or(sources_[scene_index].weather));
         use_renderer(renderer);
     });
-    // Rendering may have allocated larger arrays, for a sensor with more rays. Unloads
-    // other scenes if all scenes together now need more than `memory_bytes_`.
+    // Rendering may have allocated larger arrays, for a sensor with more rays.
     unload_scenes_until_memory_suffices(scene_index, 0);
     return loaded_[scene_index].load;
 }
@@ -75,8 +74,8 @@ void SceneSet::call_with_renderer(std::size_t scene_index,
         call_and_count_allocated_scene_bytes(scene_index,
                                              [&] { use_renderer(*loaded_[scene_index].renderer); });
     } catch (const DeviceError&) {
-        // The state of the renderer is unknown after an error. The next request loads the
-        // scene again.
+        // The state of the renderer is unknown, so the next request loads the scene
+        // again.
         loaded_[scene_index].renderer.reset();
         throw;
     }
@@ -98,8 +97,7 @@ void SceneSet::load_scene_to_device(std::size_t scene_index, const TrainedRun& r
         loaded.renderer->render(sensor, ScanRequest{track.time_s.front(), {{track.time_s.front()}, {pose}}});
     });
     const std::uint64_t left = memory_bytes_ - std::min(memory_bytes_, device_.allocated_bytes());
-    // Number of copies of the scene that fit into the free memory. Parallel rendering
-    // needs copies, but no other scene is unloaded for them.
+    // Parallel rendering needs copies, but no other scene is unloaded for them.
     const std::uint64_t copies = left / std::max<std::uint64_t>(loaded.bytes, 1);
     const int side_by_side = loaded.renderer->get_max_parallel_scans();
     loaded.renderer->set_max_parallel_scans(
@@ -123,8 +121,7 @@ std::vector<SpawnedActorRegistry::SpawnSlot> SceneSet::spawn_actors(std::size_t 
     if (loaded.renderer && loaded.n_slots == spawned_.count_spawn_slots_of_scene(scene_index))
         return occupied_slots;
     const auto undo = [&] {
-        // Unloads the scene. The next request loads it again, without the actors that
-        // could not be added.
+        // The next request loads the scene again, without the actors.
         loaded.renderer.reset();
         spawned_.undo_actor_slot_assignment(scene_index, occupied_slots, n_before);
     };

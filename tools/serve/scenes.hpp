@@ -16,8 +16,8 @@
 
 namespace relidar::serve {
 
-/// All scenes of one device. Only the render thread may use this class, except for
-/// get_runs_without_surfels(), get_asset_catalogue() and get_spawned_actors().
+/// Only the render thread may use it, except for get_runs_without_surfels(),
+/// get_asset_catalogue() and get_spawned_actors().
 class SceneSet {
 public:
     /// Loads each run once to check it and to measure its size on the device.
@@ -41,8 +41,7 @@ public:
     std::vector<SpawnedActorRegistry::SpawnSlot> spawn_actors(std::size_t scene_index,
                                                               const std::vector<ActorToSpawn>& actors);
 
-    /// Number that changes each time a scene is loaded. Loading discards pending scans,
-    /// so a changed number shows that a scan is lost.
+    /// Loading discards pending scans, so a changed number shows that a scan is lost.
     enum class SceneLoadNumber : std::uint64_t {};
     /// Loads the scene first if it is not on the device.
     /// @param weather_or_default without a value, the default weather of the scene
@@ -50,10 +49,8 @@ public:
     SceneLoadNumber load_scene_and_call_with_renderer(std::size_t scene_index,
                                                       const std::optional<Weather>& weather_or_default,
                                                       const std::function<void(ScanRenderer&)>& use_renderer);
-    /// Calls `use_renderer` to read the results of a scan. The caller has submitted the
-    /// scan in load_scene_and_call_with_renderer(). Between these calls, the caller must
-    /// not use another scene, because that could unload this one.
-    /// @param expected_load_number return value of load_scene_and_call_with_renderer()
+    /// Reads the results of a scan after load_scene_and_call_with_renderer(), which
+    /// returned the load number. No other scene may be used in between.
     /// @throws DeviceError if the device was lost, or if the scene was loaded again
     void call_if_scene_was_not_reloaded(std::size_t scene_index, SceneLoadNumber expected_load_number,
                                         const std::function<void(ScanRenderer&)>& use_renderer);
@@ -64,11 +61,9 @@ private:
     struct SceneInMemory {
         /// Null if the scene is not on the device.
         std::unique_ptr<ScanRenderer> renderer;
-        /// Device memory of the renderer in bytes. Keeps the last value after the scene
-        /// is unloaded.
+        /// Keeps the last value after the scene is unloaded.
         std::uint64_t bytes = 0;
-        /// counter value of the last use; the scene with the smallest value was used
-        /// least recently
+        /// counter value of the last use
         std::uint64_t used = 0;
         SceneLoadNumber load{};   ///< Number of the most recent load of the scene.
         std::size_t n_slots = 0;  ///< Number of slots for added actors in the loaded scene.

@@ -127,8 +127,7 @@ SpinningSensor read_spinning_sensor(const v1::SpinningSensor& message, const std
              read("azimuth_offset_rad", beam.azimuth_offset_rad(), -kPi, kPi),
              read("origin_offset_m", beam.origin_offset_m(), -kFarthestBeam_m, kFarthestBeam_m)});
     }
-    // Checks only that the first beam is above the last beam, because neighbouring beams
-    // of real sensors can be slightly out of order.
+    // Neighbouring beams of real sensors can be slightly out of order.
     if (const auto& beams = sensor.beams;
         !beams.empty() && beams.back().elevation_rad > beams.front().elevation_rad)
         throw_invalid_field(field_name + ".beams",
@@ -138,8 +137,7 @@ SpinningSensor read_spinning_sensor(const v1::SpinningSensor& message, const std
     sensor.columns = int(message.columns());
     sensor.period_s = NumberReader{field_name}("period_s", message.period_s(), 1e-4, kLongestScan_s);
     sensor.clockwise = !message.counter_clockwise();
-    // The first column is about half a turn away from azimuth 0, so that azimuth 0 is in
-    // the middle of the image.
+    // Azimuth 0 is in the middle of the image.
     sensor.first_azimuth_rad = kPi - kPi / sensor.columns;
     return sensor;
 }
@@ -206,8 +204,7 @@ SimulatedSensor read_sensor(const v1::SensorSpec& message, const std::string& fi
             pattern.divergence_rad = static_cast<decltype(pattern.divergence_rad)>(divergence_rad);
         },
         sensor.pattern);
-    // If the rays change from scan to scan, computes them here once. Invalid rays are
-    // then reported immediately instead of during rendering.
+    // Reports invalid rays now instead of during rendering.
     if (summarise_scan_pattern(sensor.pattern).has_rays_by_time) make_rays(sensor);
     return make_simulated_sensor(sensor);
 }
@@ -238,8 +235,7 @@ SimulatedSensor find_built_in_or_log_sensor(const std::string& sensor_name_or_na
 
 FiringTimeSpan compute_firing_span(const SimulatedSensor& sensor) {
     const ScanArray<float>& times = sensor.rays.time_offset_s;
-    // The sensor has no fixed firing times, for example a rosette scanner. Assumes a full
-    // scan period, centred at the time of the scan.
+    // For example a rosette scanner: a full period, centred at the time of the scan.
     if (times.empty()) {
         const double period_s = sensor.pattern ? get_scan_period_s(*sensor.pattern) : 0.0;
         return {-0.5 * period_s, 0.5 * period_s};

@@ -10,8 +10,7 @@
 
 namespace relidar::serve {
 
-/// Maximum number of rays of a scan. Larger scans are rejected, because a CPU needs
-/// seconds even for a scan of this size.
+/// A CPU needs seconds even for a scan of this size.
 inline constexpr std::size_t kMostRaysOfScan = std::size_t(1) << 20;
 
 /// @throws RejectedRequest that names the first invalid field

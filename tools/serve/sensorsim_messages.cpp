@@ -136,8 +136,7 @@ RenderRequest SensorsimReader::convert_to_checked_render_request(
         require_time_within_limit(double(end_us) * kMicrosecond, "frame_end_us"),
         outlines_[render_request.scene].sequence.world_offset_m};
     render_request.sensor = find_or_make_sensor_of_request(message, render_request.scene);
-    // The reference time is the middle of the interval, because firing times are relative
-    // to the middle of a sweep.
+    // Firing times are relative to the middle of a sweep.
     render_request.request.time_s = 0.5 * (frame.start_s + frame.end_s);
     render_request.request.dataset_from_sensor = read_track(message.sensor_pose(), frame, "sensor_pose");
     render_request.points_at_s = frame.end_s;

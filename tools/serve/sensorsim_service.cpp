@@ -25,14 +25,12 @@ constexpr int kMostScans = 64;
            "cannot answer {}: found {}, expected LiDAR scans only (render_lidar)", rpc_name, found_request);
 }
 
-// Packages of the service. NuRec used the first name until version 26.09 and has used the
-// second name since version 26.10.
+// NuRec uses the second name since version 26.10.
 constexpr const char* kPackages[] = {"nre.grpc.protos", "nurec.grpc.protos"};
 
 }  // namespace
 
-/// Registers the gRPC methods of the service under one of its names. All names share the
-/// same message types, because the wire format does not contain names of messages.
+/// All names share the message types, because the wire format has no names of messages.
 class SensorsimService::NamedService final : public grpc::Service {
 public:
     NamedService(SensorsimService& calls, const std::string& full_name) : path_("/" + full_name + "/") {
@@ -74,8 +72,7 @@ public:
 
 private:
     const std::string path_;
-    // Names of the methods. gRPC keeps pointers to them, so they are in a deque, which
-    // does not move its elements.
+    // gRPC keeps pointers to the names, and a deque does not move its elements.
     std::deque<std::string> methods_;
 
     /// `handle_call` computes the answer, and throws RejectedRequest to reject a call.

@@ -27,11 +27,9 @@
 namespace relidar::serve {
 namespace {
 
-// Maximum size of a request in bytes. The largest request describes a sensor with the
-// maximum number of rays (30 bytes per ray) and needs less.
+// The largest sensor has 30 bytes per ray and needs less.
 constexpr int kLargestRequest = 40 << 20;
-// Number of threads for calls that do not render. In addition, the server has one thread
-// for each call that fits into the render queue.
+// For calls that do not render. Each call in the queue has another thread.
 constexpr std::size_t kOtherThreads = 32;
 // A client that does not answer a ping has vanished.
 constexpr int kKeepalive_ms = 20'000;
@@ -50,9 +48,8 @@ std::string read_pem_file(const std::string& file_path) {
     return text;
 }
 
-/// Turns off the log of gRPC and Protobuf on stderr. gRPC only repeats errors that
-/// relidar reports. Protobuf prints a line for each invalid UTF-8 text, so any client
-/// could fill the disk.
+/// gRPC only repeats errors that relidar reports. Protobuf prints a line for each invalid
+/// UTF-8 text, so any client could fill the disk.
 void disable_grpc_log() {
     if (std::getenv("GRPC_VERBOSITY")) return;
     gpr_set_log_function([](gpr_log_func_args*) {});
@@ -179,9 +176,8 @@ void ScanServer::stop_and_wait(std::chrono::milliseconds max_wait) {
     const auto end = std::chrono::system_clock::now() + max_wait;
     impl_->acceptor->stop_accepting_and_close_sockets();
     impl_->server->GetHealthCheckService()->SetServingStatus(false);
-    // Shutdown() waits until each client has read all responses that gRPC has written
-    // before. It closes a connection immediately after later responses. If the client
-    // then sends a byte, the system resets the connection, and responses can be lost.
+    // Shutdown() closes a connection immediately after later responses. If the client
+    // then sends a byte, responses can be lost.
     impl_->queue.wait_for_all_slots(max_wait);
     std::this_thread::sleep_for(kLastWrites);
     impl_->server->Shutdown(end);

@@ -23,8 +23,7 @@ struct SimulatedSensor;
 
 namespace relidar::serve {
 
-/// Says how a pose (R, t) of SensorsimService transforms a point p from the child frame
-/// to the parent frame.
+/// How a pose (R, t) transforms a point p from child to parent frame.
 enum class PoseTransformOrder {
     rotation_first,     ///< R p + t: the rotation is applied first, as everywhere else in relidar.
     translation_first,  ///< R (p + t): the translation is applied first.

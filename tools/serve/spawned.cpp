@@ -15,9 +15,7 @@
 namespace relidar::serve {
 namespace {
 
-// Each actor that a client adds needs a slot (an instance of its model). This is the
-// maximum number of slots that are added at the same time. It is small, because with
-// image.sh_direction=surfel even an unused slot needs memory for a copy of the surfels.
+// With image.sh_direction=surfel, even an unused slot needs a copy of the surfels.
 constexpr std::size_t kMaxAddedSlots = 8;
 
 using SpawnedActorSlots = std::vector<ActorToSpawn>;
@@ -135,8 +133,7 @@ void add_spawned_actors_to_run(TrainedRun& run, const std::vector<SpawnedActorRe
             model = models[source.name] = append_model(
                 run.scene, asset_run.scene,
                 get_model_index_of_actor(asset_run.scene, get_track_name_of_only_actor(asset_run)));
-            // Adds a box, from which the output channel "class" reads the kind of the
-            // actor, for example vehicle.
+            // The output channel "class" reads the kind of the actor from its box.
             run.sequence.boxes.push_back({.id = run.scene.models[model].name,
                                           .category = get_name(asset.facts.kind),
                                           .size_m = asset.facts.size_m,

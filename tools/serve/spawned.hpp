@@ -32,10 +32,8 @@ struct ActorToSpawn {
     std::size_t surfels = 0;
 };
 
-/// Assigns a slot to each actor that a client adds. A slot is an additional instance of a
-/// model in the scene. It keeps its model as long as the server runs. If a client removes
-/// the actor, the next actor with the same model reuses the slot. A scene is therefore
-/// not loaded again for each actor. All members may be called by several threads.
+/// A slot is an additional instance of a model in the scene, which the next actor with
+/// the same model reuses, so that the scene is not loaded again. Thread-safe.
 class SpawnedActorRegistry {
 public:
     static constexpr std::size_t kMaxSlots = 4096;  ///< Maximum number of slots per scene.

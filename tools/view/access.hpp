@@ -7,8 +7,7 @@
 
 namespace relidar::view {
 
-/// Header fields and URL parameters of an HTTP request that decide whether the request is
-/// allowed.
+/// Fields of an HTTP request that decide whether the request is allowed.
 struct Credentials {
     std::string_view host;    ///< Value of the header Host.
     std::string_view origin;  ///< Value of the header Origin. Empty if the request has no such header.

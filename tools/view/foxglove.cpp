@@ -17,8 +17,7 @@ using Json = nlohmann::json;
 
 constexpr char kMessageData = 1, kTime = 2;  // first bytes of binary messages
 constexpr int kErrorLevel = 2;
-// Maximum number of queued messages for a client. Error messages beyond this limit are
-// discarded.
+// Queued messages of a client. Error messages beyond this limit are discarded.
 constexpr std::size_t kMaxTexts = 16;
 
 template <class T>
@@ -164,8 +163,7 @@ std::chrono::milliseconds FoxglovePlayer::send_scan_if_due_and_get_wait_time(
     try {
         if (!playback_) playback_.emplace(device_, run_, format_);
         if (Clock::now() >= playback_->due) render_and_send_next_scan();
-        // A lost device ends the viewer. After other errors, for example exhausted device
-        // memory, the page still works.
+        // After other errors, for example exhausted device memory, the page still works.
     } catch (const DeviceLost&) {
         throw;
     } catch (const Error& error) {
@@ -183,8 +181,7 @@ void FoxglovePlayer::render_and_send_next_scan() {
     const RenderedScan scan = playback_->renderer.render(sensor_, time_s);
     send_to_subscribers(playback_->messages.convert_to_messages({&scan, 1}));
     frame = (frame + 1) % times_s_.size();
-    // Starts the log again. A new encoder is needed, because the times of its messages
-    // must not decrease.
+    // The times of an encoder's messages must not decrease.
     if (frame == 0) playback_->messages = ScanMessageEncoder({format_});
     const std::chrono::duration<double> interval(
         frame > 0 ? times_s_[frame] - time_s
@@ -197,8 +194,7 @@ void FoxglovePlayer::send_to_subscribers(const std::vector<ScanMessage>& message
     const std::lock_guard lock(mutex_);
     for (const auto& [id, client] : clients_) {
         if (client.subscriptions.empty()) continue;
-        // The time is sent first, because a client removes the messages of the previous
-        // loop when the time decreases.
+        // Clients remove the messages of the previous loop when the time decreases.
         std::vector<std::string> packets{encode_server_time_message(messages_per_topic.back().time_ns)};
         for (const ScanMessage& message : messages_per_topic)
             for (const auto& [subscription, topic] : client.subscriptions)

@@ -31,9 +31,8 @@ struct FoxgloveSendCallbacks {
     std::function<void(ClientId, std::vector<std::string>)> scan;
 };
 
-/// Renders the recorded sweeps of the log's first LiDAR in a loop while a client
-/// subscribes to a topic. Only the thread that calls send_scan_if_due_and_get_wait_time()
-/// uses the device. The server's thread calls the other functions.
+/// Renders the sweeps of the log's first LiDAR in a loop. Only the thread that calls
+/// send_scan_if_due_and_get_wait_time() uses the device.
 class FoxglovePlayer {
 public:
     /// @param run must outlive the player

@@ -38,15 +38,12 @@ struct ScanColumns {
     /// [n] ranges in metres. The range is 0 if the ray has no return.
     std::vector<float> range_m = {};
     std::vector<std::uint8_t> intensity = {};  ///< [n] intensities.
-    /// [n] probability that the ray has no return, from 0 to 255 (= certain). A measured
-    /// scan contains only the values 0 and 255.
+    /// [n] probability of no return, 0 to 255. 0 or 255 in a measured scan.
     std::vector<std::uint8_t> drop = {};
-    /// [n] index of the object that each ray hits, in the object list of the message
-    /// header; 65535 if the ray hits no object. May be empty.
+    /// [n] index in the object list of the header, or 65535 for no object. May be empty.
     std::vector<std::uint16_t> instance = {};
     std::vector<std::uint16_t> ring = {};  ///< [n] beam numbers.
-    /// Additional channels with [n] values each. The message contains them as arrays
-    /// named "channel_NAME".
+    /// [n] values each, in arrays named "channel_NAME".
     std::vector<ScanChannel> channels = {};
 };
 

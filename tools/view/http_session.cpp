@@ -104,9 +104,8 @@ std::optional<HttpSession::Status> HttpSession::find_error_status_if_not_allowed
     const bool may_be_foreign =
         is_foxglove_client && (is_origin_allowed_for_foxglove(credentials.origin) || knows_token);
     if (request.count(http::field::origin) > 1 || (is_foreign && !may_be_foreign)) return Status::forbidden;
-    // The token must be in the address or in a cookie. A page of another origin
-    // (`is_foreign`) must send it in the address. A cookie is not enough, because
-    // browsers also send it with requests of pages from other local servers.
+    // A page of another origin (`is_foreign`) must send the token in the address, because
+    // browsers also send cookies with requests of pages from other local servers.
     if (!token.empty() && !knows_token &&
         (is_foreign || !is_token_in_cookie_header(credentials, token, hub_.cookie_name)))
         return Status::unauthorized;
@@ -142,8 +141,7 @@ void HttpSession::answer_request(const Request& request) {
                        hub_.cookie_name + "=" + hub_.options.token + "; Path=/; HttpOnly; SameSite=Strict");
     response_->body() = std::string(asset->body);
     response_->prepare_payload();
-    // The response to a HEAD request has no body, but its header contains the length of
-    // the body.
+    // The header of a response to HEAD contains the length of the body.
     if (request.method() == http::verb::head) response_->body().clear();
     response_->keep_alive(request.keep_alive());
     start_writing_response();

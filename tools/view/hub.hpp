@@ -19,8 +19,7 @@ class SocketSession;
 struct WebServerState {
     WebServerOptions options;
     WebSocketEvents events;
-    /// Name of the cookie that holds the access token. Each server uses a different name,
-    /// because a browser sends all cookies of a host to every port of this host.
+    /// A browser sends all cookies of a host to every port of this host.
     std::string cookie_name;
     std::string host_name;  ///< Name of this machine.
     std::size_t n_connections = 0;
@@ -29,8 +28,7 @@ struct WebServerState {
     ClientId last_client = 0;
 };
 
-/// Counts the open connections: the constructor increments the counter of the hub, and
-/// the destructor decrements it.
+/// Counts the open connections of the hub.
 class CountedConnection {
 public:
     explicit CountedConnection(WebServerState& hub) : hub_(&hub) { ++hub.n_connections; }

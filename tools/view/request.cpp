@@ -23,8 +23,7 @@ constexpr double kLate_s = 1e10;
 // Maximum number of actors that a request may copy, move, remove or hide.
 constexpr std::size_t kMaxActors = 256;
 constexpr std::size_t kMaxName = 64;
-// Maximum length of the name of a run. The name is the path that the user typed after
-// `relidar view`.
+// The name is the path that the user typed after `relidar view`.
 constexpr std::size_t kMaxRunName = 1024;
 
 [[noreturn]] void throw_request_error(const std::string& description, const std::string& expected) {

@@ -32,14 +32,12 @@ struct ActorEdits {
         std::string of;
         /// Run of the actor to copy. Empty for the run that the viewer shows.
         std::string from;
-        /// Position x, y, z in relidar's world frame (metres); yaw, pitch and roll
-        /// (degrees); forward speed (m/s).
+        /// x, y, z in relidar's world frame (m); yaw, pitch, roll (degrees); speed (m/s).
         std::array<double, 7> at{};
         bool operator==(const ActorCopy&) const = default;
     };
     std::vector<ActorCopy> copies;
-    /// Move of each actor, by the name of its track. A move is forward, left and up in
-    /// the actor's frame (metres), and yaw (degrees).
+    /// By track: forward, left and up in the actor's frame (m), and yaw (degrees).
     std::map<std::string, std::array<double, 4>> moves;
     std::set<std::string> removed;
     /// Actors that are hidden only in the view. A saved run still contains these actors.
@@ -61,8 +59,7 @@ struct LiveScanRequest {
 };
 
 struct SensorFile {
-    /// Name of the file on the user's machine. Error messages contain this name, and its
-    /// extension says which format the file has.
+    /// On the user's machine. For error messages, and the extension is the format.
     std::string name;
     std::string text;
 };

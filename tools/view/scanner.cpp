@@ -89,8 +89,7 @@ void require_ray_count_within_viewer_limit(const SimulatedSensor& sensor) {
 
 Json make_channels_json(const Config& config) {
     Json channels = Json::array();
-    // The channel `source` is not in the settings, because it exists only in simulated
-    // weather.
+    // The channel `source` exists only in simulated weather.
     for (const ChannelInfo& channel : parse_channel_names(config.render.channels + ",source"))
         channels.push_back({{"name", channel.name}, {"unit", channel.unit}, {"meaning", channel.meaning}});
     return channels;
@@ -155,8 +154,7 @@ SimulatedSensor BrowserScanRenderer::make_sensor_for_tab(TabCache& tab_cache,
     }
     const std::string key = fmt::format("{}/{}", request.lidar, request.sensor);
     if (!tab_cache.sensor || tab_cache.sensor->first != key) {
-        // Accepts only the names of built-in sensors, so that clients cannot read files
-        // of the server.
+        // Clients cannot read files of the server.
         const std::vector<std::string> names = list_native_and_built_in_sensor_names();
         if (std::find(names.begin(), names.end(), request.sensor) == names.end())
             fail<UsageError>("unknown sensor \"{}\"; expected a name from the list of sensors",
@@ -182,8 +180,7 @@ Json BrowserScanRenderer::store_uploaded_sensor_and_describe_it(TabCache& tab_ca
     SimulatedSensor sensor;
     try {
         sensor = make_simulated_sensor(find_sensor(upload.get_file_path(ending).string()));
-        // Replaces the path of the temporary file in the error message by the name of the
-        // user's file.
+        // The error message must contain the name of the user's file.
     } catch (const Error& error) {
         std::string message = error.what();
         const std::string path = upload.get_file_path(ending).string();
@@ -204,8 +201,7 @@ Json BrowserScanRenderer::store_uploaded_sensor_and_describe_it(TabCache& tab_ca
 /// Creates a new renderer if an actor is copied or moved for the first time, because the
 /// surfels change. Other edits reuse the renderer.
 ScanRenderer& BrowserScanRenderer::get_renderer_for_edited_scene(const EditedTraffic& traffic) {
-    // Only copied and moved actors change the surfels of the scene. Scenes with equal
-    // lists of these actors can share a renderer.
+    // Scenes with equal lists of copied and moved actors can share a renderer.
     std::vector<std::pair<std::string, std::string>> models;
     for (const ActorEdits::ActorCopy& copy : traffic.get_edits().copies)
         models.emplace_back(copy.from, copy.of);
@@ -220,8 +216,7 @@ ScanRenderer& BrowserScanRenderer::get_renderer_for_edited_scene(const EditedTra
             TrainedRun run = run_;
             SceneWithLog driving = add_copied_actors_with_surfels({std::move(run.scene), run.sequence},
                                                                   others_, traffic.get_edits().copies);
-            // Completes the copied and moved actors, because `run` then has no earlier
-            // track of them.
+            // `run` then has no earlier track of the copied and moved actors.
             std::erase_if(run.sequence.boxes, [&](const BoxTrack& box) {
                 return std::ranges::find(models, std::pair(box.id, std::string())) != models.end();
             });
@@ -268,9 +263,8 @@ RenderedScan BrowserScanRenderer::render_simulated_scan(const EditedTraffic& edi
     return renderer.render(sensor, request);
 }
 
-/// Milliseconds of the last launch of each kernel that has run since the previous call:
-/// its list of launch times has grown. A list with kFull entries cannot grow, so its
-/// kernel is always included.
+/// Milliseconds of the last launch of each kernel whose list of times has grown. A list
+/// with kFull entries cannot grow, so its kernel is always included.
 Json BrowserScanRenderer::make_kernel_times_json() {
     constexpr std::size_t kFull = 4096;
     Json times = Json::array();
@@ -287,8 +281,7 @@ Json BrowserScanRenderer::make_kernel_times_json() {
 std::string BrowserScanRenderer::render_scan_as_binary_message(TabCache& tab_cache,
                                                                const LiveScanRequest& request) {
     const auto start = Clock::now();
-    // Finds the sensor first, so that an invalid sensor causes an error before anything
-    // is rendered.
+    // An invalid sensor causes an error before anything is rendered.
     SimulatedSensor sensor = make_sensor_for_tab(tab_cache, request);
     if (!tab_cache.traffic || tab_cache.traffic->get_edits() != request.edits)
         tab_cache.traffic.emplace(run_, others_, request.edits);

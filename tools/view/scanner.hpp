@@ -60,14 +60,12 @@ private:
     Device& device_;
     RecordedScans real_;
     std::optional<ScanRenderer> renderer_;
-    /// Copied and moved actors in the scene of the current renderer. A copied actor is
-    /// listed as (name of its run, name of its track), a moved actor as (name of its
-    /// track, "").
+    /// Copied actors as (name of the run, name of the track), moved actors as (name of
+    /// the track, "").
     std::vector<std::pair<std::string, std::string>> rendered_;
     /// Notes on sides of the copied and moved actors that the log has not observed.
     std::vector<std::string> actor_notes_;
-    /// Number of recorded launch times of each kernel at the previous call of
-    /// make_kernel_times_json(), by kernel name.
+    /// Number of launch times at the previous call of make_kernel_times_json().
     std::map<std::string, std::size_t> launches_;
 };
 

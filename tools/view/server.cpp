@@ -123,8 +123,7 @@ void WebServer::reject_new_clients_and_close_after_sending(std::chrono::millisec
     boost::asio::post(impl_->hub.io, [&impl = *impl_] {
         ErrorCode ignored;
         impl.acceptor.close(ignored);
-        // Iterates over a copy, because a session that ends immediately removes itself
-        // from the original list.
+        // A session that ends immediately removes itself from the original list.
         const auto clients = impl.hub.clients;
         for (const auto& [id, client] : clients)
             if (const auto session = client.lock()) session->close_after_sending_queued_messages();

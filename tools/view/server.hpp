@@ -49,8 +49,7 @@ struct WebServerOptions {
 };
 
 inline constexpr std::string_view kSocketPath = "/live";
-/// WebSocket subprotocols of Foxglove. Both have the same messages. Clients that request
-/// one of them can also connect to the path "/".
+/// Subprotocols with the same messages, also at the path "/".
 inline constexpr std::string_view kFoxgloveProtocols[] = {"foxglove.websocket.v1", "foxglove.sdk.v1"};
 
 /// Identifies one open WebSocket during its lifetime.
@@ -59,12 +58,10 @@ using ClientId = std::uint64_t;
 /// The server's thread calls them one at a time. They must not throw exceptions.
 struct WebSocketEvents {
     std::function<void(ClientId)> opened;
-    /// Called for each text message of a client. The message has at most
-    /// max_message_bytes bytes. Binary messages are rejected.
+    /// At most max_message_bytes bytes. Binary messages are rejected.
     std::function<void(ClientId, std::string)> message;
     std::function<void(ClientId)> closed;
-    /// Called instead of `opened` for clients with one of kFoxgloveProtocols. If the
-    /// function is empty, the server does not offer these protocols.
+    /// Instead of `opened`. If empty, the server does not offer kFoxgloveProtocols.
     std::function<void(ClientId)> foxglove_opened = {};
 };
 

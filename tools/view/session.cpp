@@ -12,8 +12,7 @@ namespace {
 
 using Json = nlohmann::json;
 
-// Maximum number of queued requests of a browser tab, not counting scans. A user cannot
-// click so fast that this limit is exceeded.
+// Queued requests of a tab, not counting scans.
 constexpr std::size_t kMaxWaiting = 4;
 
 const char* get_request_name(const BrowserRequest& request) {
@@ -164,8 +163,7 @@ bool ViewerSession::wait_for_and_run_next_request(std::chrono::milliseconds max_
     try {
         job->run();
     } catch (const DeviceError&) {
-        // A device error ends the viewer, because no browser tab can receive a scan
-        // without a device.
+        // Without a device, no browser tab can receive a scan.
         throw;
     } catch (const Error& error) {
         send_error_message(job->id, job->about, error.what());
@@ -183,8 +181,7 @@ Json ViewerSession::execute_request_and_make_answer(TabCache& cache, const Brows
 }
 
 Json ViewerSession::save_edited_run_and_describe_it(const SaveRequest& request) const {
-    // Applies the edits before the folder is created, so that invalid edits leave no
-    // folder behind.
+    // Invalid edits leave no folder behind.
     TrainedRun run = apply_edits_to_copy_of_run(scanner_.get_run(), scanner_.get_other_runs(), request.edits);
     const std::filesystem::path folder = save_folder_ / request.name;
     std::error_code failed;

@@ -57,8 +57,7 @@ private:
         RecordedScans::RecordedScansState last_sent_state = RecordedScans::RecordedScansState::loading;
         /// latest scan request of this browser tab, until the scan is rendered
         std::optional<LiveScanRequest> scan = {};
-        /// Queued requests that are not scans: sensor files, positions on the ground, and
-        /// runs to save.
+        /// Sensor files, positions on the ground, and runs to save.
         std::deque<BrowserRequest> others = {};
         std::optional<std::string> refused = {};  ///< Reason why the last message of the tab was invalid.
         TabCache cache = {};  ///< State of the tab that only the render thread uses, without the mutex.

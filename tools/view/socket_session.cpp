@@ -11,8 +11,7 @@ namespace relidar::view {
 
 namespace websocket = boost::beast::websocket;
 
-// Maximum number of queued messages for a client. A client that is too slow to receive
-// them is disconnected.
+// A client that is too slow to receive them is disconnected.
 constexpr std::size_t kMaxWaiting = 64;
 
 SocketSession::SocketSession(boost::beast::tcp_stream stream, CountedConnection counted, WebServerState& hub)
@@ -22,8 +21,7 @@ SocketSession::SocketSession(boost::beast::tcp_stream stream, CountedConnection 
     websocket::stream_base::timeout limits{hub.options.request_time, hub.options.idle_time, true};
     stream_.set_option(limits);
     stream_.read_message_max(hub.options.max_message_bytes);
-    // Sends each message as one WebSocket frame. Fragments are useless, because the
-    // server sends no other message between them.
+    // The server sends no other message between fragments.
     stream_.auto_fragment(false);
 }
 
@@ -54,8 +52,7 @@ void SocketSession::start_reading_message() {
 }
 
 void SocketSession::handle_read_result(Error error) {
-    // The client has disconnected, or its message is invalid or too large. For an invalid
-    // message, the stream has already sent the error code.
+    // For an invalid message, the stream has already sent the error code.
     if (error) return remove_client_from_hub();
     if (!stream_.got_text()) return close_because_of_invalid_message();
     std::string text = boost::beast::buffers_to_string(incoming_.data());
@@ -66,8 +63,7 @@ void SocketSession::handle_read_result(Error error) {
 
 void SocketSession::send_or_queue_message(std::string bytes, bool is_text, bool drop_queued_older_message) {
     if (id_ == 0 || refused_) return;
-    // Removes older scans from the queue. The first message stays, because it is already
-    // being written.
+    // The first message stays, because it is already being written.
     if (drop_queued_older_message) {
         const auto stale = [](const OutgoingMessage& m) { return m.newest_only; };
         if (outgoing_.size() > 1)

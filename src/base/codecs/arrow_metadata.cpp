@@ -100,8 +100,8 @@ private:
     FlatbufferTable(AlignedFlatbuffer& bytes, const std::uint8_t* at)
         : bytes_(&bytes), table_(reinterpret_cast<const flatbuffers::Table*>(at)) {
         if (!table_->VerifyTableStart(bytes.verifier)) throw_malformed_arrow_error("table");
-        // Decreases the nesting depth, which VerifyTableStart() has increased. The depth
-        // needs no check, because this parser reads a fixed number of levels.
+        // VerifyTableStart() has increased the depth. This parser reads a fixed number of
+        // levels.
         bytes.verifier.EndTable();
     }
 

@@ -16,8 +16,7 @@ namespace relidar::arrow {
 enum class ArrowValueKind { integer, floating, text };
 enum class ArrowCompression { none, lz4_frame, zstd };
 
-/// Column of an Arrow table. For a dictionary-encoded column, also stores the type of its
-/// indices.
+/// For a dictionary-encoded column, also the type of its indices.
 struct ArrowField {
     struct Type {
         ArrowValueKind kind = ArrowValueKind::text;
@@ -61,8 +60,7 @@ struct Footer {
 };
 
 struct RecordBatch {
-    /// Id of the dictionary whose values this batch contains. nullopt if the batch
-    /// contains rows of the table.
+    /// nullopt if the batch contains rows of the table.
     std::optional<std::int64_t> dictionary;
     std::int64_t length = 0;
     std::vector<ArrowFieldNode> nodes;

@@ -26,8 +26,7 @@ namespace fs = std::filesystem;
 using report_detail::get_system_error_message;
 
 [[noreturn]] void throw_write_error(const fs::path& path, std::string why) {
-    // Replaces line breaks in the messages of libraries, because our error messages have
-    // only one line.
+    // Messages of libraries may have several lines.
     std::replace(why.begin(), why.end(), '\n', ' ');
     fail("cannot write '{}': {}", path.string(), why);
 }
@@ -67,8 +66,7 @@ void write_temporary_file(const fs::path& path_for_errors, const fs::path& tempo
     try {
         write_content(temporary_path);
     } catch (const Error& error) {
-        // Only data errors get the path of the file. For example, a GPU failure during a
-        // download is not a file error.
+        // For example, a GPU failure during a download is not a file error.
         if (error.code() != ExitCode::data) throw;
         throw_write_error(path_for_errors, error.what());
     } catch (const std::bad_alloc&) {

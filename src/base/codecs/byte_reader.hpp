@@ -19,7 +19,6 @@ namespace relidar::bag {
 static_assert(std::endian::native == std::endian::little,
               "numbers are read with the byte order of this machine, which must be little-endian");
 
-/// Reads values from a byte string, one after another.
 /// @throws DataError if too few bytes are left for a value
 class ByteReader {
 public:

@@ -10,8 +10,7 @@
 
 namespace relidar::scan_files {
 
-/// Writes values in CDR, the binary encoding of ROS 2 messages, little-endian. Each
-/// number is aligned to its size, counted from the end of the 4-byte header.
+/// Little-endian. Numbers are aligned to their size, counted from the end of the header.
 class CdrWriter {
 public:
     template <class T>

@@ -84,8 +84,7 @@ void parse_data_window(std::string_view attribute_bytes, ImageHeader& image_head
     std::memcpy(corner, attribute_bytes.data(), sizeof corner);
     image_header.columns = std::int64_t(corner[2]) - corner[0] + 1;
     image_header.rows = std::int64_t(corner[3]) - corner[1] + 1;
-    // Maximum absolute value of a corner coordinate. Larger values could overflow
-    // OpenEXR's 32-bit integers.
+    // Larger values could overflow OpenEXR's 32-bit integers.
     constexpr std::int32_t kFarthest = 1 << 29;
     for (const std::int32_t c : corner)
         if (c < -kFarthest || c > kFarthest)
@@ -182,8 +181,7 @@ ImageHeader parse_exr_header(const std::string& exr_file_bytes) {
         const std::string_view bytes = header.read_bytes(std::size_t(size));
         if (!attribute_names.insert(name).second)
             fail("attribute '{}' occurs twice, expected it once", shorten_for_error_message(name));
-        // Values of these attribute types contain more sizes, for example of a preview
-        // image. Nothing checks these inner sizes, so such attributes are rejected.
+        // Nothing checks the inner sizes of these attributes.
         if (type == "idmanifest" || type == "preview" || type == "bytes")
             fail("attribute '{}' has the type '{}', which is not supported", shorten_for_error_message(name),
                  type);

@@ -25,8 +25,7 @@ using arrow::ArrowValueKind;
 using Batch = Feather::Batch;
 
 constexpr std::string_view kMagic = "ARROW1";
-// A table may have at most (file bytes * kMostRows) rows. A column may have at most (file
-// bytes * kMostText) bytes of text. Prevents huge allocations if the file is damaged.
+// Per byte of the file: rows of a table and bytes of text of a column.
 constexpr std::size_t kMostRows = 64, kMostText = 1024;
 constexpr std::size_t kPadding = 64;  // Maximum number of padding bytes at the end of a buffer.
 
@@ -58,8 +57,7 @@ std::string_view find_arrow_footer(std::string_view file_bytes) {
     return get_byte_range_or_throw(file_bytes, end - n, n, "a footer");
 }
 
-/// Reads the record batch at a position of the file. Its message begins with 0xFFFFFFFF
-/// and the length of the flatbuffer that follows.
+/// The message begins with 0xFFFFFFFF and the length of the flatbuffer.
 Batch read_record_batch(std::string_view file_bytes, const arrow::ArrowFileBlock& block) {
     constexpr std::int64_t kPrefix = 8;
     const std::string_view message =
@@ -198,8 +196,7 @@ Feather::Feather(std::string name_for_errors, std::string file_bytes)
             at.node += 1;
             at.buffer += n_buffers;
         }
-        // Number of remaining file bytes. Blocks do not overlap, so their sizes must not
-        // add up to more than the file size.
+        // Blocks do not overlap.
         std::int64_t left = std::int64_t(bytes_.size());
         const auto read = [&](const std::vector<arrow::ArrowFileBlock>& blocks, std::vector<Batch>& batches) {
             for (const arrow::ArrowFileBlock& block : blocks) {

@@ -13,10 +13,8 @@
 
 namespace relidar {
 
-/// Feather file in memory. Each column is decompressed when it is requested. Every offset
-/// and length is checked against the size of the file. To limit memory, a table may have
-/// at most 64 * (file size in bytes) rows. A text column may have at most 1024 * (file
-/// size in bytes) bytes.
+/// Each column is decompressed when it is requested. Every offset and length is checked
+/// against the size of the file, and the memory is limited to a multiple of it.
 class Feather {
 public:
     /// @throws DataError with the file name if the file is missing, truncated or damaged
@@ -42,8 +40,7 @@ public:
         arrow::RecordBatch layout;
         std::string_view body;
     };
-    /// Column of the table. Every record batch has a list of nodes and a list of buffers.
-    /// `node` and `buffer` are the first indices of this column in these lists.
+    /// `node` and `buffer` are first indices in the lists of every record batch.
     struct Column {
         arrow::ArrowField field;
         std::size_t node = 0, buffer = 0;

@@ -18,8 +18,7 @@ namespace relidar::report_detail {
 
 static_assert(std::endian::native == std::endian::little, "every format written here is little-endian");
 
-/// File that is open for writing. Call close() at the end, because the destructor
-/// discards buffered data.
+/// Call close() at the end, because the destructor discards buffered data.
 class OutputFile {
 public:
     explicit OutputFile(const std::filesystem::path& path);
@@ -29,7 +28,6 @@ public:
 
     void write(const void* data, std::size_t n_bytes);
     void write(std::string_view bytes) { write(bytes.data(), bytes.size()); }
-    /// Writes all buffered data and closes the file.
     /// @throws DataError if the system could not write all bytes
     void close();
 

@@ -121,14 +121,12 @@ void McapWriter::write_pending_chunk() {
     if (chunk_.empty()) return;
     const std::uint64_t begin = written_, n_bytes = chunk_.size();
     const auto crc = std::uint32_t(crc32(0, reinterpret_cast<const Bytef*>(chunk_.data()), uInt(n_bytes)));
-    // The empty name means no compression, which would save little, because the floats of
-    // a scan compress poorly.
+    // The empty name means no compression: the floats of a scan compress poorly.
     append_to_mcap_file(encode_mcap_record(
         kChunk, encode(chunk_first_ns_, chunk_last_ns_, n_bytes, crc, "", n_bytes) + chunk_));
     const std::uint64_t end = written_;
 
-    // List of channel ids, each with the file position of the channel's message index.
-    // The chunk index record contains this list.
+    // Channel ids with the file positions of their message indices, for the chunk index.
     std::string index_positions;
     for (const auto& [channel, messages] : chunk_index_) {
         index_positions += encode(channel, written_);

@@ -100,8 +100,7 @@ std::size_t count_utf8_continuation_bytes(unsigned char first) {
 
 /// Replaces each invalid byte with U+FFFD.
 std::u32string decode_utf8_code_points(std::string_view utf8) {
-    // Smallest code point for each length of a UTF-8 sequence. A longer sequence for a
-    // smaller code point is invalid (overlong encoding).
+    // kLeast by length: a longer sequence for a smaller code point is invalid.
     constexpr char32_t kReplacement = 0xFFFD, kLeast[] = {0, 0x80, 0x800, 0x10000};
     std::u32string points;
     for (std::size_t i = 0; i < utf8.size();) {

@@ -145,8 +145,7 @@ std::string make_npy_header(const NamedArray& array) {
     std::string shape;
     for (std::size_t extent : array.shape) shape += fmt::format("{}, ", extent);
     if (array.shape.size() > 1) shape.resize(shape.size() - 2);
-    // Removes the space, but not the comma, after a single extent. In Python, (n,) is a
-    // tuple but (n) is a number.
+    // In Python, (n,) is a tuple but (n) is a number.
     if (array.shape.size() == 1) shape.pop_back();
     std::string dict = fmt::format("{{'descr': '{}{}', 'fortran_order': False, 'shape': ({}), }}", order,
                                    array.dtype, shape);

@@ -31,8 +31,7 @@ void check_arrays(const std::vector<NamedArray>& arrays) {
     }
 }
 
-/// Adds an array to the archive.
-/// @param header header of the .npy file; must exist until the archive is closed
+/// @param header of the .npy file; must exist until the archive is closed
 void add_array(zip_t* archive, const NamedArray& array, std::string& header) {
     const std::array<zip_buffer_fragment_t, 2> parts{
         {{reinterpret_cast<zip_uint8_t*>(header.data()), header.size()},
@@ -47,8 +46,7 @@ void add_array(zip_t* archive, const NamedArray& array, std::string& header) {
     zip_file_set_dostime(archive, std::uint64_t(index), 0, kFirstDosDate, 0);
 }
 
-/// Writes the archive into memory, because libzip would put its own temporary files next
-/// to a file.
+/// In memory, because libzip would put its own temporary files next to a file.
 zip_source_t* make_zip(const std::vector<NamedArray>& arrays) {
     zip_source_t* target = zip_source_buffer_create(nullptr, 0, 0, nullptr);
     zip_source_keep(target);

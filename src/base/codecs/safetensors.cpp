@@ -28,8 +28,7 @@ using Json = nlohmann::json;
 using report_detail::compute_array_size_bytes;
 using report_detail::get_element_size_bytes;
 
-// Maximum size of a header in bytes. The format allows 100 MB, but a parsed header needs
-// 24 times as much memory. Our headers have only a few kilobytes.
+// Bytes. The format allows 100 MB, but a parsed header needs 24 times as much memory.
 constexpr std::size_t kMaxHeader = 4u << 20;
 constexpr std::size_t kMaxName = 200, kMaxDimensions = 16;
 constexpr const char* kMetadata = "__metadata__";

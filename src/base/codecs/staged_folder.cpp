@@ -76,8 +76,7 @@ StagedFolder::~StagedFolder() {
 
 void StagedFolder::move_folder_without_replacing_existing() const {
     ::unlink((path_ / kMarker).c_str());
-    // rename() replaces an empty folder. It fails if anything else exists at the
-    // destination.
+    // rename() replaces only an empty folder.
     if (::rename(path_.c_str(), final_path_.c_str()) == 0) return;
     const int error = errno;
     const bool destination_exists = error == ENOTEMPTY || error == EEXIST || error == ENOTDIR;
@@ -91,8 +90,7 @@ void StagedFolder::move_folder_without_replacing_existing() const {
 void StagedFolder::move_folder_and_replace_existing() const {
     ::unlink((path_ / kMarker).c_str());
 #ifdef RENAME_EXCHANGE
-    // Exchanges the new and the old folder atomically. The old folder then has the
-    // temporary name, and the destructor deletes it.
+    // The old folder then has the temporary name, and the destructor deletes it.
     if (::renameat2(AT_FDCWD, path_.c_str(), AT_FDCWD, final_path_.c_str(), RENAME_EXCHANGE) == 0) return;
 #endif
     const fs::path old = path_.string() + "-old";

@@ -15,8 +15,7 @@ namespace relidar {
 /// CRC-32C (Castagnoli) rotated right by 15 bits, plus 0xa282ead8.
 std::uint32_t compute_masked_crc32c(std::string_view bytes);
 
-/// Reads records of a TFRecord file. The data of a record is read from the file only when
-/// it is requested.
+/// Reads the data of a record only when it is requested.
 class TfRecordReader {
 public:
     /// @throws DataError with the number of the record whose length or end is wrong
