@@ -36,28 +36,19 @@ void throw_vulkan_error(VkResult result, const std::string& message) {
 }
 
 std::string get_vulkan_result_name(VkResult result) {
-    switch (result) {
-        case VK_ERROR_OUT_OF_HOST_MEMORY:
-            return "VK_ERROR_OUT_OF_HOST_MEMORY";
-        case VK_ERROR_OUT_OF_DEVICE_MEMORY:
-            return "VK_ERROR_OUT_OF_DEVICE_MEMORY";
-        case VK_ERROR_INITIALIZATION_FAILED:
-            return "VK_ERROR_INITIALIZATION_FAILED";
-        case VK_ERROR_DEVICE_LOST:
-            return "VK_ERROR_DEVICE_LOST (the device hung or was removed, or its driver was restarted)";
-        case VK_ERROR_LAYER_NOT_PRESENT:
-            return "VK_ERROR_LAYER_NOT_PRESENT";
-        case VK_ERROR_EXTENSION_NOT_PRESENT:
-            return "VK_ERROR_EXTENSION_NOT_PRESENT";
-        case VK_ERROR_FEATURE_NOT_PRESENT:
-            return "VK_ERROR_FEATURE_NOT_PRESENT";
-        case VK_ERROR_INCOMPATIBLE_DRIVER:
-            return "VK_ERROR_INCOMPATIBLE_DRIVER";
-        case VK_TIMEOUT:
-            return "VK_TIMEOUT";
-        default:
-            return fmt::format("VkResult {}", static_cast<int>(result));
-    }
+    static const std::map<VkResult, const char*> kNames = {
+        {VK_TIMEOUT, "VK_TIMEOUT"},
+        {VK_ERROR_OUT_OF_HOST_MEMORY, "VK_ERROR_OUT_OF_HOST_MEMORY"},
+        {VK_ERROR_OUT_OF_DEVICE_MEMORY, "VK_ERROR_OUT_OF_DEVICE_MEMORY"},
+        {VK_ERROR_INITIALIZATION_FAILED, "VK_ERROR_INITIALIZATION_FAILED"},
+        {VK_ERROR_DEVICE_LOST,
+         "VK_ERROR_DEVICE_LOST (the device hung or was removed, or its driver was restarted)"},
+        {VK_ERROR_LAYER_NOT_PRESENT, "VK_ERROR_LAYER_NOT_PRESENT"},
+        {VK_ERROR_EXTENSION_NOT_PRESENT, "VK_ERROR_EXTENSION_NOT_PRESENT"},
+        {VK_ERROR_FEATURE_NOT_PRESENT, "VK_ERROR_FEATURE_NOT_PRESENT"},
+        {VK_ERROR_INCOMPATIBLE_DRIVER, "VK_ERROR_INCOMPATIBLE_DRIVER"}};
+    const auto name = kNames.find(result);
+    return name == kNames.end() ? fmt::format("VkResult {}", static_cast<int>(result)) : name->second;
 }
 
 namespace {
@@ -83,10 +74,10 @@ VkDebugUtilsMessengerCreateInfoEXT make_debug_messenger_create_info(VulkanInstan
 }
 
 bool is_debug_utils_extension_available() {
-    std::uint32_t n = 0;
-    vkEnumerateInstanceExtensionProperties(nullptr, &n, nullptr);
-    std::vector<VkExtensionProperties> extensions(n);
-    vkEnumerateInstanceExtensionProperties(nullptr, &n, extensions.data());
+    const auto extensions = enumerate<VkExtensionProperties>(
+        "vkEnumerateInstanceExtensionProperties", [](std::uint32_t* n, auto* properties) {
+            return vkEnumerateInstanceExtensionProperties(nullptr, n, properties);
+        });
     return std::ranges::any_of(extensions, [](const VkExtensionProperties& e) {
         return std::strcmp(e.extensionName, VK_EXT_DEBUG_UTILS_EXTENSION_NAME) == 0;
     });
@@ -140,13 +131,9 @@ VulkanInstance::~VulkanInstance() {
 }
 
 std::vector<VkPhysicalDevice> VulkanInstance::list_physical_devices() const {
-    std::uint32_t n = 0;
-    throw_unless_vulkan_success(vkEnumeratePhysicalDevices(handle, &n, nullptr),
-                                "vkEnumeratePhysicalDevices");
-    std::vector<VkPhysicalDevice> devices(n);
-    throw_unless_vulkan_success(vkEnumeratePhysicalDevices(handle, &n, devices.data()),
-                                "vkEnumeratePhysicalDevices");
-    return devices;
+    return enumerate<VkPhysicalDevice>("vkEnumeratePhysicalDevices", [&](std::uint32_t* n, auto* devices) {
+        return vkEnumeratePhysicalDevices(handle, n, devices);
+    });
 }
 
 }  // namespace relidar::gpu

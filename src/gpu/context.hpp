@@ -31,6 +31,17 @@ void throw_unless_vulkan_success(VkResult result, const char* call_name);
 [[noreturn]] void throw_vulkan_error(VkResult result, const std::string& message);
 std::string get_vulkan_result_name(VkResult result);
 
+/// Calls a function with (pointer to a number, pointer to values) twice, as Vulkan lists
+/// values.
+template <class Value, class Call>
+std::vector<Value> enumerate(const char* call_name, const Call& call, const Value& initial = {}) {
+    std::uint32_t n = 0;
+    throw_unless_vulkan_success(call(&n, static_cast<Value*>(nullptr)), call_name);
+    std::vector<Value> values(n, initial);
+    throw_unless_vulkan_success(call(&n, values.data()), call_name);
+    return values;
+}
+
 struct VulkanInstance {
     VkInstance handle = VK_NULL_HANDLE;
     VkDebugUtilsMessengerEXT messenger = VK_NULL_HANDLE;

@@ -16,14 +16,10 @@ namespace relidar::gpu {
 namespace {
 
 std::vector<VkExtensionProperties> list_device_extensions(VkPhysicalDevice physical_device) {
-    std::uint32_t n = 0;
-    throw_unless_vulkan_success(vkEnumerateDeviceExtensionProperties(physical_device, nullptr, &n, nullptr),
-                                "vkEnumerateDeviceExtensionProperties");
-    std::vector<VkExtensionProperties> extensions(n);
-    throw_unless_vulkan_success(
-        vkEnumerateDeviceExtensionProperties(physical_device, nullptr, &n, extensions.data()),
-        "vkEnumerateDeviceExtensionProperties");
-    return extensions;
+    return enumerate<VkExtensionProperties>(
+        "vkEnumerateDeviceExtensionProperties", [&](std::uint32_t* n, auto* properties) {
+            return vkEnumerateDeviceExtensionProperties(physical_device, nullptr, n, properties);
+        });
 }
 
 const char* get_device_type_name(VkPhysicalDeviceType device_type) {

@@ -230,28 +230,24 @@ double convert_statistic_to_double(const VkPipelineExecutableStatisticKHR& stati
 void query_pipeline_statistics(VkDevice device, VkPipeline pipeline, PipelineStatistics& statistics) {
     VkPipelineInfoKHR info{VK_STRUCTURE_TYPE_PIPELINE_INFO_KHR};
     info.pipeline = pipeline;
-    std::uint32_t n = 0;
-    gpu::throw_unless_vulkan_success(vkGetPipelineExecutablePropertiesKHR(device, &info, &n, nullptr),
-                                     "vkGetPipelineExecutablePropertiesKHR");
-    std::vector<VkPipelineExecutablePropertiesKHR> executables(
-        n, {VK_STRUCTURE_TYPE_PIPELINE_EXECUTABLE_PROPERTIES_KHR});
-    gpu::throw_unless_vulkan_success(
-        vkGetPipelineExecutablePropertiesKHR(device, &info, &n, executables.data()),
-        "vkGetPipelineExecutablePropertiesKHR");
-    if (n == 0) return;
-    // Intel compiles one executable per subgroup size. The last has the largest
-    // subgroups.
-    statistics.subgroup_size = static_cast<int>(executables[n - 1].subgroupSize);
+    const auto executables = gpu::enumerate<VkPipelineExecutablePropertiesKHR>(
+        "vkGetPipelineExecutablePropertiesKHR",
+        [&](std::uint32_t* n, auto* values) {
+            return vkGetPipelineExecutablePropertiesKHR(device, &info, n, values);
+        },
+        {VK_STRUCTURE_TYPE_PIPELINE_EXECUTABLE_PROPERTIES_KHR});
+    if (executables.empty()) return;
+    // Intel compiles one executable per subgroup size. The last has the largest subgroups.
+    statistics.subgroup_size = static_cast<int>(executables.back().subgroupSize);
     VkPipelineExecutableInfoKHR program{VK_STRUCTURE_TYPE_PIPELINE_EXECUTABLE_INFO_KHR};
     program.pipeline = pipeline;
-    program.executableIndex = n - 1;
-    gpu::throw_unless_vulkan_success(vkGetPipelineExecutableStatisticsKHR(device, &program, &n, nullptr),
-                                     "vkGetPipelineExecutableStatisticsKHR");
-    std::vector<VkPipelineExecutableStatisticKHR> values(
-        n, {VK_STRUCTURE_TYPE_PIPELINE_EXECUTABLE_STATISTIC_KHR});
-    gpu::throw_unless_vulkan_success(
-        vkGetPipelineExecutableStatisticsKHR(device, &program, &n, values.data()),
-        "vkGetPipelineExecutableStatisticsKHR");
+    program.executableIndex = static_cast<std::uint32_t>(executables.size() - 1);
+    const auto values = gpu::enumerate<VkPipelineExecutableStatisticKHR>(
+        "vkGetPipelineExecutableStatisticsKHR",
+        [&](std::uint32_t* n, auto* of_program) {
+            return vkGetPipelineExecutableStatisticsKHR(device, &program, n, of_program);
+        },
+        {VK_STRUCTURE_TYPE_PIPELINE_EXECUTABLE_STATISTIC_KHR});
     for (const VkPipelineExecutableStatisticKHR& value : values)
         statistics.values[value.name] = convert_statistic_to_double(value);
 }

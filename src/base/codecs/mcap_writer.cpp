@@ -20,21 +20,10 @@ namespace {
 static_assert(std::endian::native == std::endian::little, "MCAP is little-endian");
 
 constexpr std::string_view kMagic("\x89MCAP0\r\n", 8);
-enum McapRecordCode : std::uint8_t {
-    kHeader = 1,
-    kFooter = 2,
-    kSchema = 3,
-    kChannel = 4,
-    kMessageRecord = 5,
-    kChunk = 6,
-    kMessageIndex = 7,
-    kChunkIndex = 8,
-    kStatistics = 11,
-    kMetadata = 12,
-    kMetadataIndex = 13,
-    kSummaryOffset = 14,
-    kDataEnd = 15
-};
+using McapRecordCode = std::uint8_t;
+constexpr McapRecordCode kHeader = 1, kFooter = 2, kSchema = 3, kChannel = 4, kMessageRecord = 5, kChunk = 6,
+                         kMessageIndex = 7, kChunkIndex = 8, kStatistics = 11, kMetadata = 12,
+                         kMetadataIndex = 13, kSummaryOffset = 14, kDataEnd = 15;
 
 void append_value(std::string& bytes, std::string_view text) {
     append_binary_value(bytes, std::uint32_t(text.size()));
@@ -60,7 +49,7 @@ std::string encode_key_value_pairs(const McapWriter::McapMetadataMap& values) {
 }
 
 std::string encode_mcap_record(McapRecordCode record_code, std::string_view body) {
-    return encode(std::uint8_t(record_code), std::uint64_t(body.size())).append(body);
+    return encode(record_code, std::uint64_t(body.size())).append(body);
 }
 
 }  // namespace
@@ -187,7 +176,7 @@ void McapWriter::write_summary_and_close() {
     const std::uint64_t offsets = written_;
     for (const SummaryRecordGroup& group : groups)
         append_to_mcap_file(
-            encode_mcap_record(kSummaryOffset, encode(std::uint8_t(group.code), group.begin, group.n_bytes)));
+            encode_mcap_record(kSummaryOffset, encode(group.code, group.begin, group.n_bytes)));
     append_to_mcap_file(encode_mcap_record(kFooter, encode(begin, offsets, no_checksum)));
     append_to_mcap_file(kMagic);
     file_.close();
