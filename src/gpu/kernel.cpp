@@ -237,7 +237,7 @@ void query_pipeline_statistics(VkDevice device, VkPipeline pipeline, PipelineSta
         },
         {VK_STRUCTURE_TYPE_PIPELINE_EXECUTABLE_PROPERTIES_KHR});
     if (executables.empty()) return;
-    // Intel compiles one executable per subgroup size. The last has the largest subgroups.
+    // Intel compiles one executable per subgroup size. The last has the largest one.
     statistics.subgroup_size = static_cast<int>(executables.back().subgroupSize);
     VkPipelineExecutableInfoKHR program{VK_STRUCTURE_TYPE_PIPELINE_EXECUTABLE_INFO_KHR};
     program.pipeline = pipeline;

@@ -54,9 +54,7 @@ TEST_F(Service, RendersToTheBitAsTheLibrary) {
     const PoseTrack sensor_path{{0.3, 0.45, 0.6}, {make_pose_at_x(-2.0), make_pose_at_x(-1.0), turned}};
     const PoseTrack car{{0.4, 0.5}, {make_pose_at_x(5.0), make_pose_at_x(6.0)}};
     v1::RenderLidarRequest request = make_standing_request();
-    request.clear_path();
-    for (std::size_t i = 0; i < 3; ++i)
-        add_pose(*request.mutable_path(), sensor_path.time_s[i], sensor_path.pose[i]);
+    set_path(request, sensor_path);
     request.set_time_s(0.45);
     expect_same(scan_of(request), rendered({0.45, sensor_path}, "", {}));
 
@@ -103,9 +101,7 @@ TEST_F(Service, PointsAreThoseOfFilesViewerAndPython) {
     const Pose turned{glm::normalize(glm::dquat(1.0, 0.01, 0.02, 0.1)), make_pose_at_x(1.3).translation};
     const PoseTrack sensor_path{{0.3, 0.45, 0.6}, {make_pose_at_x(-2.0), make_pose_at_x(0.0), turned}};
     v1::RenderLidarRequest request = make_standing_request();
-    request.clear_path();
-    for (std::size_t i = 0; i < 3; ++i)
-        add_pose(*request.mutable_path(), sensor_path.time_s[i], sensor_path.pose[i]);
+    set_path(request, sensor_path);
     request.set_time_s(0.45);
     request.set_points_at_s(0.45);
     const std::vector<float> beside_image = values<float>(scan_of(request).points().xyz_m());
@@ -174,7 +170,7 @@ TEST_F(Service, SaysHowMuchOfAScanTheLogHasSeen) {
     const double here = scan_of(request).unseen();
     EXPECT_GT(here, 0.5) << "three quarters of a turn";
     EXPECT_LT(here, 0.95);
-    set_sweep_path(request, make_pose_at_x(500.0), make_pose_at_x(500.0));
+    set_path(request, {{0.45, 0.55}, {make_pose_at_x(500.0), make_pose_at_x(500.0)}});
     EXPECT_EQ(scan_of(request).unseen(), 1.0);
 }
 
@@ -183,7 +179,7 @@ TEST_F(Service, PointsLieOnThingsSeenFromTheEndOfTheSweep) {
     v1::RenderLidarRequest request = make_standing_request();
     const Pose begin = make_pose_at_x(-1.0),
                end{make_rotation(0.2, 0.0, 0.0), make_pose_at_x(0.0).translation + glm::dvec3(0.0, 0.5, 0.0)};
-    set_sweep_path(request, begin, end);
+    set_path(request, {{0.45, 0.55}, {begin, end}});
     request.mutable_actors();  // removes all actors, so that only the wall is visible
     const v1::LidarScan scan = scan_of(request);
     EXPECT_EQ(scan.points_at_s(), 0.55);
@@ -209,10 +205,8 @@ TEST_F(Service, PointsLieOnThingsSeenFromTheEndOfTheSweep) {
 TEST_F(Service, PointsAloneAreThoseBesideAnImage) {
     start();
     v1::RenderLidarRequest request = make_standing_request();
-    request.clear_path();
-    add_pose(*request.mutable_path(), 0.3, make_pose_at_x(-2.0));
-    add_pose(*request.mutable_path(), 0.6,
-             {glm::normalize(glm::dquat(1.0, 0.01, 0.02, 0.1)), make_pose_at_x(0.0).translation});
+    const Pose turned{glm::normalize(glm::dquat(1.0, 0.01, 0.02, 0.1)), make_pose_at_x(0.0).translation};
+    set_path(request, {{0.3, 0.6}, {make_pose_at_x(-2.0), turned}});
     request.set_time_s(0.45);
     request.set_points_at_s(0.5);
     request.mutable_sensor()->set_name("VLP-16:90x10");
@@ -251,9 +245,7 @@ TEST_F(Service, ScansOfACompensatedLogHaveTheRollingShutterOfTheirSensor) {
     constexpr double kTime_s = 0.5, kEnd_s = 0.6, kPeriod_s = 0.1, kWall_m = 10.0;
     const auto sensor_x = [](double time_s) { return 20.0 * (time_s - kTime_s); };
     v1::RenderLidarRequest request = make_standing_request();
-    request.clear_path();
-    for (const double time_s : {0.4, kEnd_s})
-        add_pose(*request.mutable_path(), time_s, make_pose_at_x(sensor_x(time_s)));
+    set_path(request, {{0.4, kEnd_s}, {make_pose_at_x(sensor_x(0.4)), make_pose_at_x(sensor_x(kEnd_s))}});
     request.set_time_s(kTime_s);
     request.mutable_actors();
     for (const bool is_native : {true, false}) {
@@ -364,7 +356,7 @@ TEST_F(Service, ChannelsComeWithPointsAndImage) {
     v1::RenderLidarRequest request = make_standing_request();
     const Pose begin = make_pose_at_x(-1.0),
                end{make_rotation(0.4, 0.0, 0.0), make_pose_at_x(0.0).translation};
-    set_sweep_path(request, begin, end);
+    set_path(request, {{0.45, 0.55}, {begin, end}});
     request.mutable_actors();
     request.mutable_wanted()->set_range_image(true);
     const v1::LidarScan scan = scan_of(request);
@@ -392,10 +384,7 @@ TEST_F(Service, FirstRayIsFiredAtTheBeginningOfThePathUnlessToldOtherwise) {
     const std::vector<float> fired_s{0.25f, 0.5f, 0.75f};
     spec.mutable_rays()->set_time_s(fired_s.data(), 12);
     *request.mutable_sensor()->mutable_spec() = spec;
-    request.clear_path();
-    // a speed of 2 m/s
-    add_pose(*request.mutable_path(), 0.0, make_pose_at_x(-4.0));
-    add_pose(*request.mutable_path(), 0.5, make_pose_at_x(-3.0));
+    set_path(request, {{0.0, 0.5}, {make_pose_at_x(-4.0), make_pose_at_x(-3.0)}});  // 2 m/s
     request.mutable_actors();
     const v1::LidarScan scan = scan_of(request);
     EXPECT_EQ(scan.time_s(), -0.25);

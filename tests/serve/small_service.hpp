@@ -121,11 +121,10 @@ inline void add_pose(google::protobuf::RepeatedPtrField<v1::TimedPose>& poses, d
     q.set_z(pose.rotation.z);
 }
 
-/// Replaces the sensor path of a request with two poses, at 0.45 s and 0.55 s.
-inline void set_sweep_path(v1::RenderLidarRequest& request, const Pose& begin, const Pose& end) {
+inline void set_path(v1::RenderLidarRequest& request, const PoseTrack& path) {
     request.clear_path();
-    add_pose(*request.mutable_path(), 0.45, begin);
-    add_pose(*request.mutable_path(), 0.55, end);
+    for (std::size_t i = 0; i < path.pose.size(); ++i)
+        add_pose(*request.mutable_path(), path.time_s[i], path.pose[i]);
 }
 
 /// Returns a request for all outputs of a scan by the log's sensor, which does not move.

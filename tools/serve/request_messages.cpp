@@ -43,10 +43,19 @@ double require_time_near_path(double time_s, const PoseTrack& sensor_path, const
     return time_s;
 }
 
-std::vector<std::string> list_actor_names(const std::vector<VisibleActor>& actors) {
+template <class Items>
+std::vector<std::string> list_names(const Items& items) {
     std::vector<std::string> names;
-    for (const VisibleActor& actor : actors) names.push_back(actor.name);
+    for (const auto& item : items) names.push_back(item.name);
     return names;
+}
+
+/// @throws RejectedRequest if no item has this name
+template <class Items>
+std::size_t find_index_of_name(const Items& items, const std::string& name, const std::string& field_name) {
+    const auto match = std::ranges::find_if(items, [&](const auto& item) { return item.name == name; });
+    if (match == items.end()) throw_unknown_name(field_name, name, list_names(items));
+    return std::size_t(match - items.begin());
 }
 
 /// @throws RejectedRequest if poses end long before the scan or begin long after it
@@ -101,24 +110,14 @@ RequestReader::RequestReader(const std::vector<TrainedRun>& outlines, const std:
 std::size_t RequestReader::find_scene_index_or_throw(const std::string& scene_name,
                                                      const std::string& field_name_for_errors) const {
     if (scene_name.empty() && sources_.size() == 1) return 0;
-    std::vector<std::string> names;
-    for (const SceneSource& source : sources_) {
-        if (source.name == scene_name) return names.size();
-        names.push_back(source.name);
-    }
-    throw_unknown_name(field_name_for_errors, scene_name, names);
+    return find_index_of_name(sources_, scene_name, field_name_for_errors);
 }
 
 int RequestReader::find_lidar_index_or_throw(std::size_t scene_index, const std::string& lidar_name_or_empty,
                                              const std::string& field_name_for_errors) const {
-    const std::vector<Lidar>& lidars = outlines_[scene_index].sequence.lidars;
     if (lidar_name_or_empty.empty()) return 0;
-    std::vector<std::string> names;
-    for (const Lidar& lidar : lidars) {
-        if (lidar.name == lidar_name_or_empty) return int(names.size());
-        names.push_back(lidar.name);
-    }
-    throw_unknown_name(field_name_for_errors, lidar_name_or_empty, names);
+    return int(find_index_of_name(outlines_[scene_index].sequence.lidars, lidar_name_or_empty,
+                                  field_name_for_errors));
 }
 
 std::pair<std::string, std::shared_ptr<const SimulatedSensor>> RequestReader::cache_uploaded_sensor(
@@ -205,8 +204,7 @@ void RequestReader::set_visible_actors_of_request(const std::vector<RequestedAct
     ActorTracksByName& poses = render_request.request.dataset_from_actor.emplace();
     for (const RequestedActor& wish : requested_visible_actors) {
         const auto match = by_name.find(wish.name);
-        if (match == by_name.end())
-            throw_unknown_name(wish.field, wish.name, list_actor_names(visible_actors));
+        if (match == by_name.end()) throw_unknown_name(wish.field, wish.name, list_names(visible_actors));
         if (!poses.emplace(match->second->track, wish.dataset_from_actor).second)
             throw_invalid_field(wish.field, shorten_and_quote_client_text(wish.name) + " a second time",
                                 "each actor at most once");
