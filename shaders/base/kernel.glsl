@@ -17,10 +17,8 @@ uint get_thread_index() {
     return gl_GlobalInvocationID.y * gl_NumWorkGroups.x * gl_WorkGroupSize.x + gl_GlobalInvocationID.x;
 }
 
-/// Returns the number of threads of the launch.
 uint get_thread_count() { return gl_NumWorkGroups.y * gl_NumWorkGroups.x * gl_WorkGroupSize.x; }
 
-/// Returns the index of this workgroup over both dimensions of the launch.
 uint get_workgroup_index() { return gl_WorkGroupID.y * gl_NumWorkGroups.x + gl_WorkGroupID.x; }
 
 layout(buffer_reference) buffer ParamsBlock;

@@ -32,10 +32,8 @@ shared uint counters[ROWS * WORDS];
 shared uint digit_start[RELIDAR_SORT_DIGITS];
 uint rank[ROUNDS];  // Ranks of this lane's keys. The lane ranks one key per round.
 
-/// Returns the number of subgroups that share one row of `counters`.
 uint count_subgroups_per_counter_row() { return (gl_NumSubgroups + ROWS - 1u) / ROWS; }
 
-/// Returns the count of a digit value from a word with two counts.
 uint extract_count_of_digit(uint packed_counts, uint digit) {
     return (packed_counts >> (16u * (digit & 1u))) & 0xffffu;
 }
@@ -79,7 +77,6 @@ void compute_key_ranks_in_subgroup(uint first_key, uint key_count, uint counter_
     }
 }
 
-/// Replaces the counts in each row of `counters` by the sums of all earlier rows.
 void sum_counters(uint n_rows) {
     if (get_subgroup_ordered_thread_index() >= WORDS) return;
     uint sum = 0u;

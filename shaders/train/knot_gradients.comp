@@ -17,7 +17,6 @@
 RELIDAR_PARAMS(KnotGradientsParams);
 shared vec3 forces[RELIDAR_KNOT_WORKGROUP], torques[RELIDAR_KNOT_WORKGROUP];
 
-/// Returns the index in the complete frame of ray `batch_ray` of the batch.
 uint get_ray_index_in_frame(uint batch_ray) {
     if (params.columns == 0u) return params.first_ray + batch_ray * params.ray_stride;
     return batch_ray / params.n_columns * params.columns +
@@ -27,7 +26,6 @@ uint get_ray_index_in_frame(uint batch_ray) {
 
 vec3 load_vec3(Floats array, uint row) { return vec3(array.at[row], array.at[row + 1u], array.at[row + 2u]); }
 
-/// Returns the weight of sensor pose `knot` in the interpolated pose of a ray.
 float get_interpolation_weight_of_knot(PoseInterpolation interpolation, uint knot) {
     if (knot == interpolation.left) return 1.0 - interpolation.s;
     return knot == interpolation.left + 1u ? interpolation.s : 0.0;

@@ -16,10 +16,8 @@ namespace {
 
 constexpr int kChunk = 16;
 
-/// Arrays of an npz file, filled row by row.
 class Table {
 public:
-    /// Appends a row of doubles to an array whose rows have this shape.
     template <class Vector>
     void add(const std::string& name, const Vector& row, std::size_t count) {
         Column& column = columns_[name];

@@ -10,7 +10,6 @@
 
 namespace relidar::reference {
 
-/// Activated parameters of a surfel.
 struct DensifiedSurfel {
     glm::dvec3 mean{0.0};
     glm::dvec4 rotation{1.0, 0.0, 0.0, 0.0};  ///< quaternion w, x, y, z, unnormalised

@@ -33,7 +33,6 @@ std::size_t get_weight_index(int o, int index, int tap, int n_in, int taps) {
     return (std::size_t(o) * n_in + index) * taps + tap;
 }
 
-/// Calls visit(channel, index) for each value.
 template <class Visit>
 void for_values(const ImageBatch& images, Visit&& visit) {
     for (int image = 0; image < images.n; ++image)
@@ -77,7 +76,6 @@ void for_mixed(const ImageBatch& large, const ImageBatch& small, Visit&& visit) 
         }
 }
 
-/// Attention head of an image: the weight of each pixel for each pixel (softmax).
 struct Head {
     int image, query, key, value, to, size;  ///< first channels
 

@@ -21,7 +21,6 @@ struct LossWeights {
 /// Rendered value that the depth term compares with the measured range.
 enum class DepthKind { blended, normalised };  ///< D, or D / W (rays with W = 0 are skipped)
 
-/// Measured ray.
 struct Target {
     double range_m = 0.0;  ///< 0 = dropped
     double intensity = 0.0;

@@ -1,11 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Compares the reference with an image that the official implementation rendered on a GPU
-// (../shared/bench, street(100000) with rays("kitti")): M1-M5 with SH along the ray. Two
-// kinds of outliers are expected. The official implementation loses a hit at a chunk
-// boundary on 36 of its 67,980 rays (here ray 4505, 16 hits). If two t agree to 1e-6 m,
-// single precision may swap the hits, which changes the channels but not the depth (here
-// rays 48280, 48705, 64090). The tests are skipped if RELIDAR_SHARED (default: ../shared
-// next to the repository) does not contain the file.
+// (../shared/bench, street(100000) with rays("kitti")): M1-M5 with SH along the ray.
 #include <gtest/gtest.h>
 
 #include <algorithm>
@@ -30,7 +25,6 @@ std::filesystem::path get_shared_folder() {
     return std::filesystem::path(__FILE__).parent_path().parent_path().parent_path().parent_path() / "shared";
 }
 
-/// Channels of the official image, [rows*columns] each.
 struct PeerImage {
     std::vector<float> directions, depth, intensity, hit_logit, drop_logit, weight, transmittance;
 
@@ -46,7 +40,6 @@ struct PeerImage {
     }
 };
 
-/// Largest differences, and number of rays beyond the tolerance.
 struct Differences {
     double depth_m = 0.0, channel = 0.0;
     int outliers = 0;

@@ -9,7 +9,6 @@
 namespace relidar::reference {
 namespace {
 
-/// Running sums of M4 and M5.
 class Blend {
 public:
     Blend(const Settings& settings, const Ray& ray)
@@ -36,8 +35,6 @@ public:
         return true;
     }
 
-    /// Returns the pixel with the background (0, 0, 1) added behind the blended surfels
-    /// (M5).
     Pixel finish() const {
         Pixel result = pixel_;
         result.drop_logit += pixel_.transmittance;

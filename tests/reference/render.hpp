@@ -15,7 +15,6 @@
 
 namespace relidar::reference {
 
-/// Settings of the rendering.
 struct Settings {
     ImageFormationModel image;
     glm::dvec3 view_origin{0.0};       ///< metres, world: view origin for ShDirection::surfel
@@ -45,7 +44,6 @@ struct Pixel : BlendedValues {
     glm::dvec3 normal{0.0};
 };
 
-/// Gradient of the loss with respect to the blended values of a pixel.
 using PixelGradient = BlendedValues;
 /// Returns the sum of gradient times output over all outputs. The gradient of this sum
 /// with respect to the outputs is `gradient`.
@@ -59,7 +57,6 @@ struct RangeKernel {
 };
 RangeKernel evaluate_range_likelihood(const Settings& settings, const Ray& ray, double t);
 
-/// A hit with all values needed for blending.
 struct ShadedHit {
     Hit hit;
     double t, u, v, w;     ///< w is 0 except for a 3D Gaussian
@@ -84,7 +81,6 @@ ShadedHit shade_hit(const World& world, const Settings& settings, const Ray& ray
 /// @param blended if not null, receives the blended hits in order
 Pixel render(const World& world, const HitProvider& provider, const Settings& settings, const Ray& ray,
              int chunk, std::vector<ShadedHit>* blended = nullptr);
-/// Renders a ray from the complete list of its hits.
 Pixel render_all_at_once(const World& world, const HitProvider& provider, const Settings& settings,
                          const Ray& ray, std::vector<ShadedHit>* blended = nullptr);
 
@@ -110,7 +106,6 @@ struct PoseGradient {
     glm::dvec3 rotation{0.0};
 };
 
-/// Gradients summed over rays.
 struct Gradients {
     std::vector<Surfel> surfels;          ///< [n] dL/d(parameter), same layout as the parameters
     std::vector<PoseGradient> instances;  ///< [instances]

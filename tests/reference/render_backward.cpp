@@ -8,7 +8,6 @@
 namespace relidar::reference {
 namespace {
 
-/// Derivatives of the loss with respect to a hit.
 struct HitGradient {
     double alpha = 0.0;
     // Direct derivative with respect to t. The derivative through u and v is added later.
@@ -16,7 +15,6 @@ struct HitGradient {
     glm::dvec3 value{0.0};
 };
 
-/// Gradients of a hit's geometry in the model's frame.
 struct LocalGradient {
     glm::dvec3 origin{0.0}, direction{0.0}, view{0.0};
 };

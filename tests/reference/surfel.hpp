@@ -65,7 +65,6 @@ std::array<glm::dvec3, kShCoefficients> compute_sh_basis_gradient(const glm::dve
 /// clamped.
 glm::dvec3 evaluate_sh(const Surfel& surfel, const glm::dvec3& direction, int degree);
 
-/// Precomputed data of a surfel for intersections in the model's frame: 13 numbers.
 template <typename Real>
 struct Record {
     glm::vec<3, Real> mean;

@@ -8,13 +8,11 @@
 
 namespace relidar::reference {
 
-/// Box of an actor.
 struct Box {
     std::array<double, 3> half_size_m{};
     double largest_scale_m = 0.0;
 };
 
-/// Parameters that the loss term uses, or their derivatives.
 struct BoxedSurfel {
     std::array<double, 3> mean{};  ///< box frame, metres
     std::array<double, 2> log_scale{};

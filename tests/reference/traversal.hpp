@@ -26,9 +26,7 @@ struct Placement {
     /// differences. The float record ignores this transform.
     Pose change = {};
 
-    /// Returns the pose at the firing time of a ray.
     Pose at(double time_s) const { return pose_at(world_from_model, motion, time_s) * change; }
-    /// Returns the rotation that reverses the rotation of the model at a time.
     glm::dquat unturned(double time_s) const {
         return world_from_model.rotation * glm::conjugate(pose_at(world_from_model, motion, time_s).rotation);
     }
@@ -41,7 +39,6 @@ struct World {
     std::vector<Placement> instances;
 };
 
-/// Sort key of a hit along a ray.
 struct HitKey {
     double t = -std::numeric_limits<double>::infinity();
     std::uint32_t instance = 0;
@@ -55,7 +52,6 @@ struct HitKey {
     }
 };
 
-/// Hit of a ray. Its t is computed by the canonical function in the selected precision.
 using Hit = HitKey;
 
 class HitProvider {
@@ -74,7 +70,6 @@ std::vector<Hit> list_all_hits(const HitProvider& provider, const Ray& ray, int 
 
 enum class Precision { float_record, double_record };
 
-/// Tests every surfel of every instance.
 class BruteForce : public HitProvider {
 public:
     BruteForce(const World& world, const ImageFormationModel& model, Precision precision);

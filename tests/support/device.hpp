@@ -12,10 +12,8 @@
 
 namespace relidar::test {
 
-/// Returns the device of this process, or null if the machine has no device.
 Device* find_device();
 
-/// Fixture of all tests that run kernels.
 class DeviceTest : public ::testing::Test {
 protected:
     void SetUp() override;

@@ -23,7 +23,6 @@ struct GradientGroup {
     std::vector<std::vector<double>> expected;  ///< [rows][components]
     std::vector<std::vector<double>> actual;
 
-    /// Returns the Euclidean norm of a row.
     static double norm(const std::vector<double>& row) {
         double sum = 0.0;
         for (double x : row) sum += x * x;

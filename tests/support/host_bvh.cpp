@@ -136,7 +136,6 @@ private:
     }
 };
 
-/// Returns the boxes of all surfels in the frames of their models.
 std::vector<Box> surfel_boxes(Device& device, const DeviceScene& scene) {
     Stream stream(device);
     const std::vector<SpecialisationConstant> constants{

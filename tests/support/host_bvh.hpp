@@ -13,8 +13,6 @@ namespace relidar::test {
 
 class HostBvh {
 public:
-    /// Builds the tree of a scene after activation of its parameters. Waits for the
-    /// device.
     HostBvh(Device& device, const DeviceScene& scene);
     shared::BvhPointers pointers() const;
 

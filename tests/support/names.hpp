@@ -10,13 +10,11 @@
 
 namespace relidar::test {
 
-/// Returns whether `part` ends with digits after a decimal point.
 inline bool ends_with_decimals(std::string_view part) {
     const std::size_t digits = part.find_last_not_of("0123456789");
     return digits != std::string_view::npos && digits + 1 < part.size() && part[digits] == '.';
 }
 
-/// Returns the first part of `parts` that `message` does not contain, or "". See Names().
 inline std::string find_missing_part(std::string_view message, std::string_view parts) {
     const auto is_digit = [](char c) { return std::isdigit(static_cast<unsigned char>(c)) != 0; };
     const auto is_word = [](char c) { return std::isalnum(static_cast<unsigned char>(c)) || c == '_'; };

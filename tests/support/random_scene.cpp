@@ -143,7 +143,6 @@ void add_rays(Random& random, const RandomSceneOptions& options, const reference
     }
 }
 
-/// Adds measured ranges that are close to the rendered ranges of the rays.
 void add_measured_ranges(const RandomSceneOptions& options, const reference::Settings& settings,
                          RandomScene& scene) {
     Random random(options.seed + 1000);

@@ -31,7 +31,6 @@ struct RandomSceneOptions {
     double angular_speed_radps = 3.0;  ///< rad/s, of moving actors
 };
 
-/// Minimum distances of each ray and surfel to the discontinuities of the image.
 struct Margins {
     double log_alpha = 0.02;  ///< minimum |ln(sigma G / alpha_min)|
     /// Minimum |ln(sigma G / alpha_max)|. It can be at most ln(1 / 0.99) = 0.01 if alpha

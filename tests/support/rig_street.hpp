@@ -14,8 +14,6 @@ namespace relidar::test {
 
 inline constexpr int kSpinning = 0, kWindow = 1, kRosette = 2, kTwoReturns = 3;
 
-/// Writes the files of the sensor rig.
-/// @return path of rig.json
 inline std::string write_rig(const std::filesystem::path& folder) {
     std::filesystem::create_directories(folder);
     std::ofstream beams(folder / "top.csv");

@@ -13,13 +13,9 @@
 
 namespace relidar::test {
 
-/// Returns reference surfels with exactly the float values of `surfels`.
 std::vector<reference::Surfel> to_reference(const Surfels& surfels);
-/// Rounds reference surfels to the arrays of the library.
 Surfels to_surfels(const std::vector<reference::Surfel>& surfels);
-/// Returns the same rays in double.
 std::vector<reference::Ray> to_reference(const WorldRays& rays);
-/// Returns the rays of a table unchanged, with the sensor frame as the world frame.
 WorldRays to_world_rays(const RayTable& table);
 
 /// Returns the surfels with the indices `order`, without using the library.

@@ -29,7 +29,6 @@ constexpr float kOnSurface_m = 0.05f, kFar_m = 0.3f;
 constexpr std::size_t kProbes = 256;
 constexpr std::size_t kTogether = 4096;  // Number of points whose test rays are cast together.
 
-/// Returns directions that are evenly distributed on the sphere (Fibonacci spiral).
 std::array<glm::vec3, kProbes> make_evenly_spaced_sphere_directions() {
     std::array<glm::vec3, kProbes> directions;
     for (std::size_t i = 0; i < kProbes; ++i) {
@@ -41,7 +40,6 @@ std::array<glm::vec3, kProbes> make_evenly_spaced_sphere_directions() {
     return directions;
 }
 
-/// Synthetic street, sensor path, and time of a scan.
 struct StreetScanSetup {
     const SyntheticOptions& street;
     const PoseTrack& world_from_sensor;
@@ -106,10 +104,6 @@ std::vector<float> compute_point_to_street_distances(const StreetScanSetup& stre
 struct AirPointCounts {
     std::size_t points = 0, in_air = 0, far_out = 0, at_another_range = 0;
 
-    /// Counts the points of a scan, and how many of them float in empty space.
-    /// @param simulated_ranges  simulated and true ranges of the rays of `rendered_scan`
-    /// @param rendered_scan  its drop probabilities decide which rays have a return; only
-    /// these rays are counted
     void add_counts_of_points_floating_in_air(const StreetScanSetup& street_scan,
                                               const SimulatedRayRanges& simulated_ranges,
                                               const RenderedScan& rendered_scan) {

@@ -41,7 +41,6 @@ constexpr int kMaxChunk = 64, kMaxPasses = 4096;
 // AccelOptions).
 constexpr float kGrow = 1.002f, kPad_m = 1e-4f;
 
-/// Geometry and opacity of a surfel, from which hits of rays are computed.
 struct SurfelGeometry {
     glm::vec3 mean;
     float opacity;
@@ -187,8 +186,6 @@ private:
     int chunk_;
     EmbreeSceneData world_;
 
-    /// Adds a surfel to the scene, and stores the corners of its bounding rectangle in
-    /// `output_corners`.
     void add_surfel_quad(const Surfels& surfels, std::size_t surfel_index, glm::vec3* output_corners) {
         const glm::vec4 q = surfels.rotation[surfel_index];
         const glm::mat3 r = glm::mat3_cast(glm::normalize(glm::quat(q[0], q[1], q[2], q[3])));
@@ -230,8 +227,6 @@ private:
 #endif
     }
 
-    /// Blends a hit into a pixel.
-    /// @return false if the ray is already opaque, so that the hit is invisible
     bool blend_hit_into_pixel(const EmbreeHit& hit, const float* sh_basis_values,
                               RenderedPixel& pixel) const {
         const float alpha = std::min(hit.alpha, world_.model.alpha_max),
@@ -258,8 +253,6 @@ private:
     }
 };
 
-/// Renders all rays on several threads. Each thread takes its next block of rays from a
-/// shared counter.
 std::vector<RenderedPixel> render_rays_on_threads(const EmbreeRenderer& renderer, const RayTable& rays,
                                                   int n_threads) {
     constexpr std::size_t kBlock = 256;
@@ -281,7 +274,6 @@ double get_process_cpu_time_s() { return double(std::clock()) / CLOCKS_PER_SEC; 
 
 RayTable make_named_benchmark_rays(const std::string& rays_name) {
     int rows = 0, columns = 0;
-    // Uses the same rays as relidar-dev bench.
     if (std::sscanf(rays_name.c_str(), "%dx%d", &rows, &columns) == 2)
         return make_benchmark_rays(rows, columns, 2.0, -24.9);
     return make_benchmark_rays(rays_name);

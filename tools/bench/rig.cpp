@@ -38,7 +38,6 @@ double compute_percentage(std::size_t count, std::size_t total) {
     return total ? 100.0 * double(count) / double(total) : 0.0;
 }
 
-/// Ranges of a rendered scan, or exact ranges of the synthetic street.
 struct ScanRanges {
     /// [rays] range in metres, 0 for no return. `second_m` is empty if the sensor has no
     /// second returns.
@@ -125,8 +124,6 @@ ScanRanges cast_exact_street_ranges(const SyntheticOptions& street, RayTable ray
     return extract_return_ranges(scan);
 }
 
-/// Renders the held-out sweeps with another sensor than the one in the log, and scores
-/// them. The sensor replaces the first LiDAR.
 void render_and_score_unseen_sensor(ScanRenderer& renderer, const TrainedRun& run,
                                     const SyntheticOptions& street_options, const std::string& sensor_name) {
     const SimulatedSensor sensor = find_or_load_sensor(sensor_name, run.config, run.sequence);

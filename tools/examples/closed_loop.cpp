@@ -14,8 +14,6 @@ using namespace relidar;
 
 constexpr double kStep_s = 0.1, kLane_m = 1.2, kActorBrakes_mps2 = 4.0, kEgoBrakes_mps2 = 6.0;
 
-/// Returns the distance to the nearest point ahead in the lane of the ego car. Ignores
-/// points of the ground and of the car's bonnet. Returns 100 m if there is no such point.
 double compute_free_distance_ahead_m(const LidarPoints& points) {
     double gap_m = 100.0;
     for (const glm::vec3& p : points.position_m) {
@@ -53,8 +51,6 @@ int main(int argc, char** argv) try {
             .dataset_from_actor = ActorTracksByName{
                 {actor,
                  {{t, t + kStep_s}, {ahead(actor_m, -1.0), ahead(actor_m + actor_mps * kStep_s, -1.0)}}}}};
-        // Requests the points in the sensor frame at time t. The program could do other
-        // work before it waits for the points.
         renderer.submit_points(sensor, request, t);
         const double gap_m = compute_free_distance_ahead_m(renderer.wait_for_points().points);
         if (gap_m < 6.0 + ego_mps * ego_mps / (2.0 * kEgoBrakes_mps2) * 1.3)

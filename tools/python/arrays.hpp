@@ -40,9 +40,7 @@ py::array make_read_only_array_view(const std::vector<Element>& values, const Nu
     return array;
 }
 
-/// Converts one array of an npz file to a numpy array.
 py::array to_numpy(NamedArray&& npz_array);
-/// Converts all arrays of an npz file to a dict of numpy arrays.
 py::dict convert_to_array_dict(std::vector<NamedArray>&& npz_arrays);
 
 /// Checks the dtype, shape and C order of a numpy array.
@@ -63,8 +61,6 @@ std::span<const Number> get_checked_array_values(const py::handle& object, const
     return {static_cast<const Number*>(array.data()), static_cast<std::size_t>(array.size())};
 }
 
-/// Copies the values of a numpy array into a vector. Each Element of the vector consists
-/// of one or more Numbers.
 template <class Number, class Element>
 std::vector<Element> copy_checked_array_to_vector(const py::handle& object,
                                                   const std::string& name_for_errors,

@@ -36,8 +36,6 @@ inline ProgressReporter wrap_python_progress_callback(const PythonProgressCallba
 /// so that the C++ code can stop. rethrow_stored_exception() then raises the exception.
 class PythonCallGuard {
 public:
-    /// Calls a Python function, and stores the first exception that any call raises.
-    /// @return false after an exception, so that the caller must stop its work
     template <class Call>
     bool operator()(Call&& call) {
         if (failure_) return false;
@@ -50,8 +48,6 @@ public:
         }
         return !failure_;
     }
-    /// Checks whether the user has pressed Ctrl-C. Returns true if the work can continue,
-    /// because no exception was raised.
     bool has_no_exception_or_interrupt() {
         return (*this)([] {});
     }

@@ -11,13 +11,9 @@
 
 namespace relidar::python {
 
-/// Sets one setting. The value is a str, bool, int, float or path.
-/// @throws UsageError if the type of the value is wrong, or if set_config_value() rejects
-/// the key or the value
+/// @throws UsageError if the type, the key or the value is wrong
 void set_config_value_from_python(Config& config, const std::string& key, const pybind11::handle& value);
-/// Shows a note of the C++ library as a Python warning.
 void show_python_warning(const std::string& message);
-/// Sets each setting that the dict contains.
 void set_config_values_from_python(Config& config, const pybind11::dict& settings);
 
 }  // namespace relidar::python

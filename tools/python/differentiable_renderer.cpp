@@ -18,8 +18,6 @@
 namespace relidar::python {
 namespace {
 
-/// A differentiable renderer, with the numbers of instances and rays that give the shapes
-/// of the numpy arrays.
 struct PythonDifferentiableRenderer {
     DeviceObject<DifferentiableRenderer> differentiable;
     std::vector<InstancePose> placed;  ///< [instances] pose of each instance.

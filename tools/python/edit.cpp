@@ -21,7 +21,6 @@ namespace {
 
 namespace fs = std::filesystem;
 
-/// A copy of a run to which edits are applied one after the other.
 struct RunBeingEdited {
     TrainedRun run;        ///< the run before all edits, with the history of the edits
     SceneWithLog driving;  ///< the edited scene and tracks

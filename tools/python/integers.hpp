@@ -36,7 +36,6 @@ Integer read_integer(const pybind11::handle& object, const std::string& name_for
     return integer.cast<Integer>();
 }
 
-/// Name of an argument, as a template parameter.
 template <std::size_t N>
 struct ArgumentName {
     char text[N];

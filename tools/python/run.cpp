@@ -26,7 +26,6 @@ namespace {
 
 namespace fs = std::filesystem;
 
-/// Arguments of Run.render().
 struct RenderArguments {
     py::object sensor, pose;
     std::optional<double> time;
@@ -71,7 +70,6 @@ ActorTracksByName convert_actor_pose_dict_to_tracks(const py::dict& poses_by_act
     return poses;
 }
 
-/// Returns the index of the recorded sweep that is nearest in time.
 int find_nearest_frame_number(const LidarSequence& sequence, double time_s) {
     const auto is_nearer = [&](const LidarFrame& first, const LidarFrame& second) {
         return std::abs(first.time_s - time_s) < std::abs(second.time_s - time_s);
@@ -95,7 +93,6 @@ ScanRequest make_scan_request_from_arguments(const RenderArguments& arguments, c
     return request;
 }
 
-/// Returns the boxes of the actors in a scan as a dict of arrays.
 py::dict find_actor_boxes_in_scan_as_dict(const RenderedScan& scan, const ScanOutputOptions& output_options) {
     const std::vector<ActorBox> boxes = find_actor_boxes(scan, output_options);
     std::vector<std::string> tracks, categories;
@@ -225,7 +222,6 @@ constexpr const char* kHelpAfterWeather =
     "Raises DataError for arrays of wrong shape, dtype or order and poses that are not rigid, UsageError for "
     "unknown names and weather.";
 
-/// Adds the methods of the Python class for runs.
 void bind_run_methods(py::class_<LoadedRun>& run_class) {
     const std::string render_help = fmt::format(
         "{}{}.\n    The seed of the weather is `sample`, or 0 if `sample` is None. Weather adds the array "
@@ -280,7 +276,6 @@ void bind_run_methods(py::class_<LoadedRun>& run_class) {
              "surfels differs.");
 }
 
-/// Adds the properties of the Python class for runs.
 void bind_run_properties(py::class_<LoadedRun>& run_class) {
     run_class
         .def_property_readonly(

@@ -20,13 +20,11 @@ struct LoadedRun {
     LoadedRun(TrainedRun trained_run, SharedDevice device_or_null)
         : run(std::move(trained_run)), device(std::move(device_or_null)) {}
 
-    /// Returns the renderer of this run. Creates the renderer at the first call. No other
-    /// object uses this renderer.
     DeviceObject<ScanRenderer>& get_renderer();
 };
 
-/// Saves a run in a folder and sets `run.folder` to this folder.
-/// @throws UsageError if `overwrite` is false and the folder already contains a run
+/// Also sets `run.folder`.
+/// @throws UsageError if the folder contains a run and `overwrite` is false
 void save_run_to_folder(TrainedRun& run, const std::filesystem::path& folder, bool overwrite);
 
 }  // namespace relidar::python

@@ -31,7 +31,6 @@ void for_each_parameter_array(Set& surfels, Callback&& callback) {
     callback(kGait.data(), surfels.gait, NumpyShape{5});
 }
 
-/// Returns true if surfels of this kind have a parameter array with this name.
 bool uses_parameter_array(const Surfels& surfels, std::string_view array_name) {
     if (array_name == kGait) return surfels.bends;
     return array_name != kThirdScale || get_primitive_properties(surfels.primitive).third_scale;
@@ -43,7 +42,6 @@ NumpyShape make_array_shape(py::ssize_t n_rows, const NumpyShape& row_shape) {
     return shape;
 }
 
-/// Returns the parameters of a scene's surfels as read-only numpy arrays, without a copy.
 py::dict make_surfel_array_views(const py::object& scene_object) {
     const Surfels& surfels = scene_object.cast<const Scene&>().surfels;
     py::dict dict;

@@ -15,8 +15,6 @@ namespace relidar::python {
 /// @throws UsageError if a name is unknown
 Surfels read_surfels_from_arrays(const pybind11::dict& arrays);
 
-/// Moves the parameters of surfels into a Python dict of arrays.
-/// read_surfels_from_arrays() reads such a dict.
 pybind11::dict convert_to_array_dict(Surfels&& surfels);
 
 }  // namespace relidar::python

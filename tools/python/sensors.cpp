@@ -17,8 +17,6 @@ namespace {
 
 constexpr float kUnit = 1e-3f;  // Largest accepted difference between the length of a direction and 1.
 
-/// Checks the rays of a sensor that a Python user has defined.
-/// @throws DataError if a ray is not finite, or if its direction does not have length 1
 void require_finite_rays_of_unit_length(const RayTable& rays) {
     for (std::size_t i = 0; i < rays.size(); ++i) {
         const float length = glm::length(rays.direction[i]);

@@ -17,18 +17,14 @@ struct LoadedLog {
     Config config;
 };
 
-/// These functions return the frames and poses of a log.
 pybind11::object make_frame_time_array(
     const LidarSequence& sequence);  ///< Returns the frame times, [frames] float64.
 pybind11::object make_frame_number_array(
     const LidarSequence& sequence);  ///< Returns the frame numbers, [frames] int32.
 pybind11::object list_lidar_name_per_frame(
     const LidarSequence& sequence);  ///< Returns the LiDAR name of each frame.
-/// Returns the path of the vehicle as (times, poses) in the world frame of the dataset.
 pybind11::object make_vehicle_trajectory(const LidarSequence& sequence);
-pybind11::object make_lidar_mounting_dict(
-    /// Returns a dict from the LiDAR name to the mounting pose vehicle_from_sensor.
-    const LidarSequence& sequence);
+pybind11::object make_lidar_mounting_dict(const LidarSequence& sequence);
 /// Returns a dict from the track name to (times, poses). The poses are poses of the box
 /// centre.
 pybind11::object make_actor_track_dict(const LidarSequence& sequence,

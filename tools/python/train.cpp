@@ -18,7 +18,6 @@ namespace {
 
 namespace fs = std::filesystem;
 
-/// Arguments of the Python function train(), except the log.
 struct TrainArguments {
     std::optional<Config> config;
     std::optional<std::function<py::object(const TrainProgress&)>> callback;
@@ -28,8 +27,6 @@ struct TrainArguments {
     SharedDevice device;
 };
 
-/// Returns the user's settings for a training, except settings that were fixed when the
-/// log was loaded.
 Config merge_requested_and_log_settings(const LoadedLog& log, const std::optional<Config>& requested_config) {
     Config config = requested_config.value_or(log.config);
     config.dataset = log.config.dataset;
@@ -76,7 +73,6 @@ TrainResult train_scene_with_device_lock(LockableDevice& device, TrainedRun& run
                  {arguments.checkpoints.value_or(""), start ? &*start : nullptr, stop, note, {}});
 }
 
-/// Aligns the held-out scans with the trained scene.
 void align_held_out_scans_with_scene(LockableDevice& device, TrainedRun& run, PythonCallGuard& python_calls) {
     const DeviceLock use(device);
     estimate_held_out_vehicle_poses(device.device, run,
@@ -84,7 +80,6 @@ void align_held_out_scans_with_scene(LockableDevice& device, TrainedRun& run, Py
     python_calls.rethrow_stored_exception();
 }
 
-/// Measures the noise of the LiDAR intensities.
 void fit_intensity_noise(LockableDevice& device, TrainedRun& run, PythonCallGuard& python_calls) {
     const DeviceLock use(device);
     run.intensity_scatter = fit_intensity_scatter_model_per_lidar(

@@ -27,7 +27,6 @@ struct ActorBenchTimes {
     /// number of builds and refits of bottom-level acceleration structures while the
     /// actors moved
     std::uint64_t builds = 0;
-    /// wall time of rendering one scan, including the refit of the acceleration structure
     TimePercentiles scan_ms{};
     TimePercentiles step_ms{};  ///< Wall time of a training iteration.
     std::uint64_t memory = 0;   ///< Device memory during training, in bytes.

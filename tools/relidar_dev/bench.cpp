@@ -131,8 +131,6 @@ void run_bench_command(const BenchOptions& options, const std::string& command_l
     if (!settings.quiet) print(format_bench_result(bench, result, device));
 }
 
-/// Adds options that affect only the losses, the backward pass and the optimizer of a
-/// training step.
 void add_training_benchmark_options(CLI::App& command, BenchCaseOptions& bench_choice) {
     command
         .add_option("--keep-hits", bench_choice.keep_hits,
@@ -147,8 +145,6 @@ void add_training_benchmark_options(CLI::App& command, BenchCaseOptions& bench_c
                      "add gradients in a fixed order instead of with atomic operations");
 }
 
-/// Adds options that select another benchmark: a scene with many actors, complete scans
-/// of a run, training steps of a run, or calls of a running server.
 void add_scan_benchmark_options(CLI::App& command, BenchOptions& options) {
     command
         .add_option("--actors", options.actors,
@@ -195,7 +191,6 @@ void add_scan_benchmark_options(CLI::App& command, BenchOptions& options) {
         ->type_name("N");
 }
 
-/// Adds the options for ray tracing to the command.
 void add_ray_tracing_options(CLI::App& command, BenchCaseOptions& bench_choice) {
     command
         .add_option("--chunk", bench_choice.chunk,

@@ -40,8 +40,6 @@ bool try_parse_positive_integer(const std::string& text, long long& parsed_value
     return error == std::errc() && stop == text.data() + text.size() && parsed_value >= 1;
 }
 
-/// Parses an image size such as "64x1024". Returns nothing if the text is the name of a
-/// sensor.
 std::optional<ImageSize> parse_ray_grid_size(const std::string& text) {
     if (text == "waymo" || text == "kitti") return std::nullopt;
     const std::vector<std::string> words = split_text(text, 'x');
@@ -58,7 +56,6 @@ std::optional<ImageSize> parse_ray_grid_size(const std::string& text) {
     return size;
 }
 
-/// Applies the options of the command line to the settings.
 void set_config_from_bench_options(const BenchCaseOptions& bench_choice, Config& config) {
     if (!bench_choice.chunk.empty()) set_config_value(config, "trace.chunk", bench_choice.chunk);
     if (!bench_choice.keep_hits.empty()) set_config_value(config, "trace.keep_hits", bench_choice.keep_hits);
@@ -68,8 +65,6 @@ void set_config_from_bench_options(const BenchCaseOptions& bench_choice, Config&
     if (!bench_choice.sh.empty()) set_config_value(config, "image.sh_direction", bench_choice.sh);
 }
 
-/// Returns the position of a word in the list of allowed values of an option.
-/// @throws UsageError if the word is not in the list
 std::size_t find_index_of_option_value(const char* option_name, const std::string& option_value,
                                        const std::vector<std::string>& allowed_values) {
     const auto match = std::find(allowed_values.begin(), allowed_values.end(), option_value);

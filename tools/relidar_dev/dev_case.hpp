@@ -11,7 +11,6 @@
 
 namespace relidar::cli {
 
-/// Options of the command line that describe the case.
 struct BenchCaseOptions {
     /// Kind of benchmark street. "A": the size of a surfel does not depend on
     /// `n_surfels`. "B": surfels are smaller if `n_surfels` is larger. "C": like "B", but
@@ -39,17 +38,11 @@ struct DevCase : BenchCase {
     bool keeps_more_hits = true;
 };
 
-/// These functions return the options to build the acceleration structure, and to trace
-/// rays through it.
 AccelOptions make_benchmark_accel_options(const DevCase& bench_case);
 TraceOptions make_benchmark_trace_options(const DevCase& bench_case);
 
-/// Checks all options before a scene is created.
-/// @throws UsageError that names the first invalid option
 void require_valid_bench_options(const BenchCaseOptions& bench_choice);
 
-/// Creates the scene and the rays that the user has chosen.
-/// @throws DataError if the run cannot be read
 DevCase make_benchmark_from_options(const BenchCaseOptions& bench_choice);
 
 }  // namespace relidar::cli

@@ -17,7 +17,6 @@ namespace relidar::cli {
 struct MemoryTrafficSizes {
     double n_surfels = 0.0;
     double n_models = 1.0;
-    /// Number of surfels that receive a gradient, or 0 if there is no backward pass.
     double n_touched = 0.0;
     double n_rays = 0.0;
     double n_hits = 0.0;          ///< Total number of blended hits of all rays.
@@ -37,8 +36,6 @@ struct MemoryTrafficSizes {
     /// True if kernels traverse the BVH instead of ray tracing hardware. The memory
     /// traffic of hardware traversal is unknown and not counted.
     bool software = true;
-    /// Number of tree nodes that all rays together visit in the forward pass, or 0 if
-    /// unknown.
     double nodes_opened = 0.0;
     double surfels_tested = 0.0;
 };

@@ -80,7 +80,6 @@ std::uint32_t predict_stored_hits_per_ray(const DevCase& bench_case,
     return keep;
 }
 
-/// Measures the memory of each part of a benchmark, by creating each part once.
 BenchMemory measure_gpu_memory_of_each_part(Device& device, const DevCase& bench_case,
                                             bool includes_training) {
     auto since_last = [&device, last = device.allocated_bytes()]() mutable {
@@ -207,7 +206,6 @@ private:
                 training_ ? &training_->targets : nullptr};
     }
 
-    /// Adds the kernel times since the last call to the samples of a phase.
     void append_kernel_times_since_last_call(const std::string& phase_name, TimesByKernel& kernel_samples) {
         double total = 0.0;
         std::map<std::string, double> sums;
@@ -274,8 +272,6 @@ BenchResult BenchRunner::make_bench_result() {
     return result;
 }
 
-/// Returns the sizes of the benchmark scene, from which the minimum memory traffic of the
-/// kernels is computed.
 MemoryTrafficSizes BenchRunner::compute_memory_traffic_sizes(const BenchResult& result) {
     MemoryTrafficSizes s = sizes_;
     s.n_surfels = get_renderer().scene().size();

@@ -20,26 +20,20 @@ namespace relidar::cli {
 
 struct DevCase;
 
-/// Percentiles in milliseconds over the repetitions.
 struct TimePercentiles {
     double p10 = 0.0;
     double median = 0.0;
     double p90 = 0.0;
 };
-/// Computes the percentiles of some samples.
-/// @param samples [n], at least one
 TimePercentiles compute_p10_median_p90(std::vector<double> samples);
 
-/// Returns the time since `start` in milliseconds.
 double measure_ms_since(std::chrono::steady_clock::time_point start);
 
-/// Time of a kernel or a group of kernels in one repetition, summed over all launches.
 struct KernelBenchTime {
     std::string name;
     TimePercentiles ms;
 };
 
-/// Device memory of each part in bytes.
 struct BenchMemory {
     /// Memory of the surfel parameters, the surfel records and the instance table, in
     /// bytes.
@@ -50,7 +44,6 @@ struct BenchMemory {
     std::uint64_t peak = 0;      ///< Maximum device memory since the device was opened.
 };
 
-/// Mean number of tree nodes and surfels that a ray visits in the forward pass.
 struct BenchVisits {
     double nodes = 0.0;
     double surfels = 0.0;
@@ -60,7 +53,6 @@ struct BenchResult {
     bool device_clock = true;  ///< If false, only the wall time of the forward pass was measured.
     std::string proxy;
     std::vector<KernelBenchTime> kernels;  ///< Times of the kernels, in the order of a training iteration.
-    /// Times of the phases "rebuild", "iteration", "iteration_wall" and "move".
     std::vector<KernelBenchTime> phases;
     /// Speed of the forward pass in million rays per second, from the median times of the
     /// kernels diff/forward/*.
@@ -70,7 +62,6 @@ struct BenchResult {
     std::optional<double> backward_mrays_per_s;
     double hits_per_ray = 0.0;              ///< Mean number of hits that are blended per ray.
     std::uint32_t stored_hits_per_ray = 0;  ///< Number of hits that are stored per ray for the backward pass.
-    /// Visited nodes and surfels. Empty for hardware traversal (ray query).
     std::optional<BenchVisits> visits;
     BenchMemory memory;
     MemoryTrafficSizes sizes;

@@ -69,7 +69,6 @@ double sum_kernel_ms(const KernelTimes& kernel_times) {
     return sum;
 }
 
-/// Returns the processor time of this thread.
 double get_thread_cpu_time_ms() {
     timespec t{};
     clock_gettime(CLOCK_THREAD_CPUTIME_ID, &t);
@@ -101,7 +100,6 @@ ScanBenchTimes measure_scan_times(Device& device, const ScanBenchOptions& bench_
         }
         return end - first;
     };
-    // Does not measure the first scans, because they allocate memory.
     for (int n = ask(0); n > 0; --n) renderer.wait_for_points();
     ScanBenchTimes result{
         .sensor = drive.n_sensors() > 1 ? bench_options.sensor : drive.get_sensor_of_scan(0).name,

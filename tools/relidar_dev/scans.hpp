@@ -29,7 +29,6 @@ struct ScanBenchTimes {
     std::string sensor;
     int n_scans = 0;
     int together = 1;
-    /// Number of scans that the device renders in parallel.
     int side_by_side = 1;
     double rays = 0.0;    ///< Mean number of rays per scan.
     double points = 0.0;  ///< Mean number of returned points per scan.

@@ -9,9 +9,6 @@
 
 namespace relidar::cli {
 
-/// Runs training steps and measures them.
-/// @param run_folder run folder. The log must be at the same path as when the run was
-/// trained.
 TrainingStepTimes measure_training_steps(Device& device, const std::string& run_folder, int n_steps,
                                          bool quiet);
 

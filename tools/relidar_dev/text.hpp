@@ -16,8 +16,6 @@ struct BenchSettings;
 
 std::string format_bench_result(const DevCase& bench_case, const BenchResult& result, const Device& device);
 
-/// Returns the result of a benchmark as JSON.
-/// @param command_line command line as the user typed it
 std::string make_bench_result_json(const DevCase& bench_case, const BenchSettings& settings,
                                    const BenchResult& result, const Device& device,
                                    const std::string& command_line);

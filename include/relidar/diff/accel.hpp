@@ -94,7 +94,6 @@ public:
     int count_refits_since_build() const;             ///< Number of refits recorded since the last build.
 
     struct Impl;
-    /// Returns the internal implementation. Only the library uses this function.
     const Impl& impl() const { return *impl_; }
 
 private:

@@ -14,8 +14,6 @@
 
 namespace relidar {
 
-// Empty types that name the content of a device array, used as the second template
-// argument of Array. They make it a compile error to pass the wrong array to a kernel.
 namespace shared {
 struct DeviceRayGradients;
 struct InstancePoseGradients;
@@ -75,7 +73,6 @@ struct DeviceGradients {
     /// exact.
     Array<float, shared::SensorPoseGradient> sensor;
 
-    /// Allocates the gradient arrays on the device.
     /// @param n_rays number of rays of the largest batch
     DeviceGradients(Device& device, const DeviceScene& scene, const GradientSelection& selection = {},
                     std::uint32_t n_rays = 0);
@@ -111,7 +108,6 @@ struct BackwardOptions {
 
 class BackwardPass {
 public:
-    /// Creates the GPU pipelines of the backward pass.
     /// @throws UsageError if hits_per_ray is out of range
     BackwardPass(Device& device, const ImageFormationModel& model, ProxyShape proxy,
                  const TraceOptions& options, const BackwardOptions& backward = {});

@@ -19,8 +19,6 @@ class DeviceScene;
 struct Scene;
 struct SurfelArrays;
 
-// Empty types that name the content of a device array, used as the second template
-// argument of Array. They make it a compile error to pass the wrong array to a kernel.
 namespace shared {
 struct GradientSums;
 struct SeenBatches;
@@ -42,7 +40,6 @@ struct SurfelStatistics {
     std::uint32_t n_words = 1;
 };
 
-/// Training batch whose gradients have been computed.
 struct BackpropagatedBatch {
     const SurfelArrays* gradients = nullptr;
     /// Flags, [n]: 1 for each surfel that gets a gradient from the batch. The gradients
@@ -72,7 +69,6 @@ public:
     /// surfels.
     void record_gradient_statistics_update(Stream& stream, const DeviceScene& scene,
                                            const BackpropagatedBatch& batch);
-    /// Returns true if densify_surfels() should add and remove surfels after this step.
     bool should_densify_after_step(int step) const;
     /// Adds and removes surfels. Each model stays a contiguous range in which surfels
     /// keep their order. A copied surfel is stored next to its original. Surviving

@@ -10,7 +10,6 @@
 
 namespace relidar {
 
-/// Strategy for adding and removing surfels.
 enum class DensifyStrategy {
     none,
     /// Strategy of the paper: clones and splits surfels with large gradients, removes
@@ -53,7 +52,6 @@ struct DensifyOptions {
     bool operator==(const DensifyOptions&) const = default;
 };
 
-/// Counts of surfels that one densification has added and removed.
 struct DensifyReport {
     std::uint32_t before = 0, after = 0;
     std::uint32_t added = 0;  ///< Number of added surfels. Each clone or split adds one surfel.
@@ -74,7 +72,6 @@ struct DensifyReport {
     void add_counts(const DensifyReport& later_report);
 };
 
-/// Names of all counts of a report.
 inline constexpr std::array<std::pair<const char*, std::uint32_t DensifyReport::*>, 9> kDensifyCounts{
     {{"before", &DensifyReport::before},
      {"after", &DensifyReport::after},

@@ -17,12 +17,9 @@
 
 namespace relidar {
 
-/// Selects the gradients to compute and the method for summing them.
 struct GradientOptions {
     BackwardOptions sums{};
     GradientSelection requested_gradients{};
-    /// If true, surfels that get no gradient from a batch have gradients of zero. If
-    /// false, their gradients are undefined.
     bool zero_untouched = true;
 };
 
@@ -44,13 +41,8 @@ struct HostGradients {
     /// surfel, and so on. They are 0 for a surfel that no ray has hit.
     Surfels surfels;
     std::vector<std::uint32_t> touched;  ///< Flags, [n]: 1 for each surfel with a gradient.
-    /// Pose gradients of the instances, [instances, 6]: dL/d(v, w), metres and radians,
-    /// world axes.
     std::vector<float> poses;
-    /// Pose gradient of the sensor, [6]: dL/d(v, w), metres and radians, world axes. All
-    /// rays move as one rigid body.
     std::vector<float> sensor;
-    /// dL/d(origin) and dL/d(direction) of every ray, [n_rays, 6], world frame.
     std::vector<float> rays;
 };
 
@@ -58,14 +50,12 @@ struct HostGradients {
 /// renderer rendered last.
 class DifferentiableRenderer {
 public:
-    /// Creates the renderer and its gradient arrays.
     /// @throws UsageError if an option in gradients.sums is out of range
     /// @throws errors of the Renderer constructor
     DifferentiableRenderer(Device& device, const Scene& scene, const ImageFormationModel& model,
                            const RendererOptions& options = {}, const GradientOptions& gradients = {});
     ~DifferentiableRenderer();
 
-    /// Returns the renderer of the scene.
     Renderer& renderer();
     const Renderer& renderer() const;
 

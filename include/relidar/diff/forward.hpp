@@ -16,7 +16,6 @@
 
 namespace relidar {
 
-/// Rendered values, one entry per ray.
 struct RenderedRayValues {
     /// Sums over the hits of a ray, [n]: depth, weight, intensity, hit_logit, drop_logit.
     /// The softmax of the logits is the drop probability. See blended_values.h.
@@ -84,7 +83,6 @@ private:
 RenderedRayValues convert_rays_to_rendered_values(const std::vector<shared::RenderedRay>& rays,
                                                   const std::vector<shared::RenderedSurface>& surfaces = {});
 
-/// Options of a renderer for its acceleration structure, ray tracing, memory and stream.
 struct RendererOptions {
     AccelOptions accel{};
     TraceOptions trace{};
@@ -161,7 +159,6 @@ public:
     /// @throws DeviceError if a ray had too many hits and therefore ended too early
     void require_rays_fully_traced();
 
-    /// Returns the number of hits per ray that are kept for the backward pass.
     std::uint32_t get_stored_hits_per_ray() const;
     /// Sets the number of hits per ray that are kept for the backward pass. The number
     /// applies from the next record_forward_pass(). Waits until the stream is idle.
@@ -177,21 +174,16 @@ public:
     /// Replaces all surfel parameters on the device. Waits until the copy is complete.
     /// @throws DataError if the number of surfels or the primitive differs
     void upload_surfels(const Surfels& surfels);
-    /// Waits for the GPU and returns the scene with its current parameters.
     Scene download_scene();
 
     /// Waits until the device no longer uses the arrays of the renderer. Ignores errors,
     /// so that destructors can call this function.
     void wait_for_device() noexcept;
-    /// Returns the renderer's stream. The GPU executes all commands of the stream in the
-    /// order in which they are recorded.
     Stream& stream();
     DeviceScene& scene();
     const DeviceScene& scene() const;
     AccelerationStructure& accel();
     const ForwardPass& forward_pass() const;
-    /// View origin of the last record_scene_update_for_view() or
-    /// record_instance_poses_and_view().
     const glm::vec3& view_origin_m() const;
 
     /// Releases the acceleration structure. Must be called before surfels are added or

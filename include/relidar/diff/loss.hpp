@@ -49,8 +49,6 @@ struct TargetBatch {
     ImageShape image{};  ///< Image layout of the rays, if the batch is an image.
 };
 
-// Empty types that name the content of a device array, used as the second template
-// argument of Array. They make it a compile error to pass the wrong array to a kernel.
 namespace shared {
 struct LossTerms;
 struct TouchedSurfels;
@@ -105,7 +103,6 @@ std::vector<std::unique_ptr<Loss>> make_losses(Device& device, const LossWeights
 /// pixels are left out. For SSIM, the batch must be an image.
 class ImageLoss final : public Loss {
 public:
-    /// Creates the image loss.
     /// @param n_rays number of rays of the largest batch, used only for SSIM
     ImageLoss(Device& device, const LossWeights& weights, std::uint32_t n_rays = 0);
     ~ImageLoss() override;
@@ -132,7 +129,6 @@ private:
 /// parts of the ray list. The order of the rays affects only the speed.
 class ChamferLoss final : public Loss {
 public:
-    /// Creates the Chamfer loss.
     /// @param n_rays number of rays of the largest batch
     ChamferLoss(Device& device, const LossWeights& weights, std::uint32_t n_rays);
     ~ChamferLoss() override;

@@ -16,7 +16,6 @@
 
 namespace relidar {
 
-/// Options of the ray-drop network and its training (config.refine).
 struct RayDropNetworkOptions {
     /// If true, the network is trained after the surfels. Rendering uses the network if
     /// the run has one.
@@ -64,7 +63,6 @@ struct RayDropImage {
 /// sensor frame) and "origin_x" ... "origin_z".
 std::vector<std::string> list_network_input_channels(const RayDropNetworkOptions& options);
 
-/// Trained ray-drop network.
 struct RayDropNetwork {
     std::string image = "native";     ///< Type of the training images: "native", or the name of a grid.
     std::vector<std::string> inputs;  ///< Names of the input channels.
@@ -83,14 +81,11 @@ struct RayDropNetwork {
     std::vector<float> running;
 
     bool empty() const { return parameters.empty(); }
-    /// Returns the minimum number of rows and of columns that an image must have.
     int compute_min_image_rows_and_columns() const { return 1 << (widths.empty() ? 0 : widths.size() - 1); }
 };
 
-/// Returns the number of trainable parameters of the network that the options describe.
 std::size_t count_network_parameters(const RayDropNetworkOptions& options);
 
-/// Progress of the training of a ray-drop network.
 struct RayDropTrainProgress {
     int epoch = 0, n_epochs = 0;
     int step = 0, n_steps = 0;

@@ -22,7 +22,6 @@ void compile_network_pipelines(Device& device, const RayDropNetworkOptions& opti
 /// the caller provides.
 class RayDropInference {
 public:
-    /// Uploads the network to the device.
     /// @throws errors of the RayDropRefiner constructor
     RayDropInference(Device& device, const RayDropNetwork& network);
     ~RayDropInference();

@@ -66,7 +66,6 @@ struct RenderedSurface {
 };
 RELIDAR_DECLARE_POINTER(RenderedSurfaces, RenderedSurface);
 
-/// Intersection of a ray with a surfel.
 struct Hit {
     float t;      // Distance along the ray, metres.
     float alpha;  // Opacity times the Gaussian's value at the hit (sigma G), not clamped.

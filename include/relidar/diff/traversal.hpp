@@ -14,7 +14,6 @@
 
 namespace relidar {
 
-/// Rays in world coordinates.
 struct WorldRays {
     std::vector<glm::vec3> origin;     ///< Origins, [n] metres.
     std::vector<glm::vec3> direction;  ///< Unit directions, [n].
@@ -81,8 +80,6 @@ struct TraceOptions {
     /// at most this value, metres.
     std::optional<float> mode_gap_m{};
 
-    /// Returns true if the forward pass writes a normal and a surface distance for each
-    /// ray.
     bool writes_normals_or_surface_ranges() const { return normals || mode_gap_m; }
 };
 
@@ -101,7 +98,6 @@ struct StoredRayHits {
     /// for the remaining hits again.
     std::uint32_t per_ray = 0;
 
-    /// Allocates memory for the hits.
     /// @param n_threads number of threads that trace the largest batch
     StoredRayHits(Device& device, std::size_t n_threads, std::uint32_t hits_per_ray)
         : hits(device, round_up_to_interleave_group_size(n_threads) * hits_per_ray, "kept hits"),
@@ -111,7 +107,6 @@ struct StoredRayHits {
     static std::size_t round_up_to_interleave_group_size(std::size_t n_threads) {
         return (n_threads + RELIDAR_SIDE_BY_SIDE - 1) / RELIDAR_SIDE_BY_SIDE * RELIDAR_SIDE_BY_SIDE;
     }
-    /// Returns true if the buffer is large enough for the hits of a batch.
     bool can_store_hits(const RayBatch& batch) const {
         return round_up_to_interleave_group_size(count_trace_threads(batch)) * per_ray <= hits.size();
     }
@@ -126,7 +121,6 @@ std::uint32_t recommend_stored_hits_per_ray(std::uint32_t hits_per_ray, std::uin
 /// Rendered batch with the arrays that the losses and the backward pass read and write.
 struct RenderedBatch {
     RayBatch rays;
-    /// Rendered values of all rays, [n_rays].
     const Array<shared::RenderedRay>* rendered = nullptr;
     /// Gradients dL/d(rendered) of all rays, [n_rays]. Losses write these gradients. The
     /// backward pass reads them.
@@ -138,7 +132,6 @@ struct RenderedBatch {
     const Array<shared::RenderedSurface>* surfaces = nullptr;
 };
 
-/// Converts rays from host arrays to the struct that kernels read.
 std::vector<DeviceRay> to_device_rays(const WorldRays& rays);
 
 }  // namespace relidar

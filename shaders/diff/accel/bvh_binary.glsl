@@ -11,7 +11,6 @@
 #define RELIDAR_INCLUDED_DIFF_ACCEL_BVH_BINARY_GLSL
 
 bool is_leaf(uint child) { return (child & RELIDAR_BVH_LEAF) != 0u; }
-/// Returns the number of surfels in a decision word (at most 15, see above).
 uint unpack_surfel_count(uint decision_word) { return decision_word & 15u; }
 /// Returns how many of the available child slots the left child gets. 0 means that one
 /// slot fewer is at least as good.

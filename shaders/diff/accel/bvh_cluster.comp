@@ -43,7 +43,6 @@ shared uint nearest[ROOM];
 // ranges together are the complete model, otherwise -1.
 shared ivec4 task;
 
-/// Waits until all lanes of the subgroup see each other's writes to shared memory.
 void synchronise_subgroup() {
     subgroupMemoryBarrierShared();
     subgroupBarrier();
@@ -111,7 +110,6 @@ uint find_nearest_neighbour_cluster(uint cluster, uint n_clusters) {
     return neighbour;
 }
 
-/// Creates a binary node whose children are the clusters `first` and `second`.
 Cluster merge_clusters(Cluster first, Cluster second) {
     uint node = second.spare;
     Box box = join_boxes(first.box, second.box);

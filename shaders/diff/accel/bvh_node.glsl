@@ -31,14 +31,11 @@ uint quantise_interval(float origin, uint exponent, float low, float high) {
     return q_low | q_high << 8;
 }
 
-/// Quantisation grid for the child boxes of a node.
 struct NodeGrid {
     vec3 origin;
     uvec3 exponents;
 };
 
-/// Returns the grid to which the child boxes of a node are quantised.
-/// @param bounds bounding box of the node
 NodeGrid make_node_grid(Box bounds) {
     Box frame = is_empty(bounds) ? Box(vec3(0.0), vec3(0.0)) : bounds;
     return NodeGrid(frame.low, uvec3(compute_quantisation_exponent(frame.low.x, frame.high.x),
@@ -56,7 +53,6 @@ uvec3 quantise_box(NodeGrid grid, Box child) {
                  quantise_interval(grid.origin.z, grid.exponents.z, child.low.z, child.high.z));
 }
 
-/// Writes the quantisation grid and the mask of inner children to a node.
 void store_quantisation_grid(BvhNodes nodes, uint node, NodeGrid grid, uint inner_child_mask) {
     nodes.at[node].origin = grid.origin;
     nodes.at[node].exponents =

@@ -73,7 +73,6 @@ Box compute_instance_boxes_and_centre_bounds() {
     return centres;
 }
 
-/// Returns the union of the boxes of all threads of the workgroup.
 Box join_boxes_over_workgroup(Box box) {
     box.low = subgroupMin(box.low);
     box.high = subgroupMax(box.high);
@@ -86,8 +85,6 @@ Box join_boxes_over_workgroup(Box box) {
     return box;
 }
 
-/// Writes the Morton code of each present instance to `keys`.
-/// @param centre_bounds bounds of the centres of all instance boxes
 void write_morton_codes(Box centre_bounds) {
     SharedUvec2s keys = SharedUvec2s(uvec2(params.keys));
     for (uint i = get_subgroup_ordered_thread_index(); i < params.n_instances; i += RELIDAR_BVH_WORKGROUP) {

@@ -39,8 +39,6 @@ bool replace_child_by_grandchildren(inout uint slots[RELIDAR_BVH_WIDTH], inout u
 
 uint level_end;  // Queue index at which the next level starts.
 
-/// Writes the children of a wide node. Appends the children that become wide nodes to the
-/// queue.
 void choose_children_of_wide_node(uint queue_index) {
     uint node = SharedUints(uvec2(params.queue)).at[queue_index];
     if (node == RELIDAR_BVH_NO_NODE) return;  // the model has no surfels

@@ -9,7 +9,6 @@ float chunk_transmittance[SLOTS];
 float chunk_w[SLOTS];
 float chunk_shade[SLOTS];
 
-/// State of the blending along a ray, after the hits that were processed so far.
 struct BlendState {
     float shift;
     float transmittance;
@@ -17,7 +16,6 @@ struct BlendState {
     float lost;       // rounding error of `remaining`
 };
 
-/// Returns true if any value that the ray blends from its hits has a non-zero gradient.
 bool has_gradient(RayGradient gradient) {
     bool any_gradient = false;
 #define RELIDAR_HAS(name, built, value, input, slope, meaning) \

@@ -47,7 +47,6 @@ void add_gradient(TraceScene scene, uint row, uint surfel, HitGradient gradient)
     }
 }
 
-/// A hit of a ray, with its blending weight and other values that blending computes.
 struct BlendedHit {
     uint slot;  // index of the hit's record in `hits`
     uint instance;
@@ -89,7 +88,6 @@ uint add_hit_gradient_and_get_row(TraceScene scene, Ray ray, uint ray_index, Ray
     return recorded ? kNoRow : row;
 }
 
-/// Loads the next hits that the forward pass has stored for this ray into the hit buffer.
 void load_kept_hits(uint first, uint count) {
     uint list = get_thread_index();
     reset_hits_with_cutoff(0.0);
@@ -184,7 +182,6 @@ uint backpropagate_ray_and_count_hits(TraceScene scene, Ray ray, uint ray_index,
     return blended;
 }
 
-/// Marks the hit records of a ray as unused, starting with record `first`.
 void clear_hit_records(uint ray_index, uint first, uint count) {
     uint start = params.first_hit.at[ray_index];
     for (uint k = start + first; k < min(start + count, params.capacity); ++k)

@@ -5,7 +5,6 @@
 #ifndef RELIDAR_INCLUDED_DIFF_FORWARD_BLEND_GLSL
 #define RELIDAR_INCLUDED_DIFF_FORWARD_BLEND_GLSL
 
-/// State of a ray while its hits are blended.
 struct Blended {
     RenderedRay ray;
     RayGradient lost;  // rounding error of each blended value, for compensated summation
@@ -33,8 +32,6 @@ vec3 compute_hit_channels(TraceScene scene, Ray ray, Hit hit) {
     return evaluate_hit_channels(scene, ray, hit.instance, hit.surfel, scene.records.at[hit.surfel]);
 }
 
-/// Returns the transmittance of the ray behind a hit.
-/// @param transmittance_before transmittance before the hit
 float compute_transmittance_behind(TraceScene scene, Hit hit, float transmittance_before) {
     return transmittance_before * (1.0 - min(hit.alpha, scene.alpha_max));
 }
@@ -45,7 +42,6 @@ bool is_ray_blocked_before_hit(TraceScene scene, Hit hit, float transmittance_be
     return compute_transmittance_behind(scene, hit, transmittance_before) < scene.transmittance_min;
 }
 
-/// Adds the next hit of the ray to the blended values.
 void blend_hit(TraceScene scene, Ray ray, Hit hit, vec3 channels, inout Blended blended) {
     float next = compute_transmittance_behind(scene, hit, blended.ray.transmittance),
           w = min(hit.alpha, scene.alpha_max) * blended.ray.transmittance;
@@ -63,14 +59,12 @@ void blend_hit(TraceScene scene, Ray ray, Hit hit, vec3 channels, inout Blended 
     ++blended.ray.n_hits;
 }
 
-/// Stores a hit for the backward pass.
 /// @param blend_index number of the hit in the order of blending
 void store_hit_for_backward_pass(uint blend_index, Hit hit) {
     if (blend_index < params.n_kept)
         params.kept.at[get_index_in_hit_lists(params.n_kept, get_thread_index(), blend_index)] = hit;
 }
 
-/// Adds the background to the blended values and writes the result of the ray.
 void finish_blending(uint ray_index, inout Blended blended) {
     if (params.n_kept > 0u && blended.ray.n_hits > params.n_kept) atomicAdd(params.n_overfull.at[0], 1u);
     // Blends the background like a hit with the drop logit 1 and all other values 0. Its

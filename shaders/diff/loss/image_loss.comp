@@ -50,8 +50,6 @@ float compute_drop_loss_and_gradient(RenderedRay ray, bool dropped, inout RayGra
     return params.drop_weight * (max(z, 0.0) + log(1.0 + exp(-abs(z))));
 }
 
-/// Computes the loss terms of one ray with a known measurement: depth, intensity, ray
-/// drop and opacity.
 vec4 compute_loss_terms_and_gradient(RenderedRay ray, DeviceTarget target, inout RayGradient gradient) {
     vec4 terms = vec4(0.0);
     bool dropped = !(target.range_m > 0.0);

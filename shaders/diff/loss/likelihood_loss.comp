@@ -11,8 +11,6 @@
 #include "../../base/reduce.glsl"
 RELIDAR_PARAMS(LikelihoodLossParams);
 
-/// Returns the loss of one ray with a measured return, and adds its derivative to the
-/// gradient of the ray.
 float compute_likelihood_loss_and_gradient(uint ray) {
     float explained =
         params.likelihood_floor + (1.0 - params.likelihood_floor) * params.rendered.at[ray].likelihood;

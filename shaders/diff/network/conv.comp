@@ -46,8 +46,6 @@ void load_weight_tile(uint first_out_channel, uint first_in_channel) {
     }
 }
 
-/// Replaces the weights in shared memory by those of the next kIn input channels,
-/// starting at `first_in_channel`.
 void load_next_weight_tile(uint first_out_channel, uint first_in_channel) {
     barrier();
     load_weight_tile(first_out_channel, first_in_channel);

@@ -4,17 +4,11 @@
 #ifndef RELIDAR_INCLUDED_DIFF_NETWORK_CONV_GLSL
 #define RELIDAR_INCLUDED_DIFF_NETWORK_CONV_GLSL
 
-/// Returns the index of a weight in the weight array.
-/// @param out_channel output channel
-/// @param in_channel input channel
-/// @param tap position in the convolution kernel, 0 to TAPS - 1
 uint get_weight_index(uint out_channel, uint in_channel, uint tap) {
     return params.transposed != 0u ? (in_channel * params.n_out + out_channel) * TAPS + (TAPS - 1u - tap)
                                    : (out_channel * params.n_in + in_channel) * TAPS + tap;
 }
 
-/// Adds the bias of the channel to an output value. Then stores the result, or adds it to
-/// the stored value if `accumulate` is set.
 void store_output_value(uint index, uint channel, float value) {
     if (!is_null(params.bias)) value += params.bias.at[channel];
     if (params.accumulate != 0u) value += params.to.values.at[index];

@@ -10,7 +10,6 @@
 #include "../shared/refine.h"
 RELIDAR_PARAMS(NormFinishParams);
 
-/// Returns the mean and the variance of a channel over the batch.
 vec2 compute_batch_moments(uint channel) {
     float n = 0.0, mean = 0.0, squares = 0.0;
     uint of_image = params.n_parts / params.n_images;

@@ -9,8 +9,6 @@
 RELIDAR_PARAMS(ResampleParams);
 #include "resample.glsl"
 
-/// Interpolates between two neighbouring pixels of a row of the small image.
-/// @param image_begin index of the first pixel of the image
 float interpolate_in_image_row(uint image_begin, int row, int left_column, float right_weight) {
     uint row_begin = image_begin + clamp_row(row) * params.small_columns;
     return mix(params.from.values.at[row_begin + wrap_column(left_column)],

@@ -34,8 +34,6 @@ struct ProxyParams {
 
 #define RELIDAR_RADIUS_STRETCH 64u  // surfels per thread of accel/model_radii
 
-/// Parameters of accel/model_radii.comp, which computes a bounding sphere of each model.
-/// The centre of the sphere is the origin of the model.
 struct ModelRadiiParams {
     Records records;  // input [n], all surfels
     Models models;    // input [n_models]

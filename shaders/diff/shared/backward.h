@@ -79,7 +79,6 @@ struct GatherParams {
     uint n_rows;
 };
 
-/// Consecutive surfels of one instance. One workgroup sums their pose gradients.
 struct PoseBlock {
     uint first_surfel;
     uint first_row;

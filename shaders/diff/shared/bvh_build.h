@@ -22,8 +22,6 @@ RELIDAR_SHARED_BEGIN
 
 RELIDAR_DECLARE_POINTER(Uvec2s, uvec2);
 
-/// Parameters of accel/bvh_bounds.comp, which computes the bounds of each model. Surfels
-/// that no ray can hit are ignored.
 struct BvhBoundsParams {
     // Input [n,6] in m: box of each surfel, empty for a surfel that no ray can hit.
     RELIDAR_OF(Floats, SurfelBoxes) boxes;
@@ -36,7 +34,6 @@ struct BvhBoundsParams {
     uint n_models;
 };
 
-/// Parameters of accel/bvh_keys.comp, which computes the sort keys.
 struct BvhKeysParams {
     Records records;                          // input [n]
     Models models;                            // input [n_models]
@@ -66,8 +63,6 @@ struct BvhBinary {
     RELIDAR_OF(Uints, SpareNodes) spares;
 };
 
-/// Parameters of accel/bvh_cluster.comp, which builds binary trees over the sorted
-/// surfels by clustering.
 struct BvhClusterParams {
     BvhBinary tree;                            // output
     RELIDAR_OF(Floats, SurfelBoxes) boxes;     // input [n,6] boxes of the surfels
@@ -99,8 +94,6 @@ struct BvhWide {
     RELIDAR_OF(Uints, WideCount) count;  // [1] number of nodes in use
 };
 
-/// Parameters of the kernels accel/bvh_wide_*.comp, which convert binary trees to trees
-/// of wide nodes.
 struct BvhWideParams {
     BvhBinary tree;  // input
     BvhWide wide;    // output
@@ -138,7 +131,6 @@ struct BvhRefitParams {
     uint last_surfel;                       // Refits models whose first surfel has at most this index.
 };
 
-/// Parameters of accel/bvh_top.comp, which builds the top-level tree over all instances.
 struct BvhTopParams {
     BvhPointers bvh;                             // output: roots, top_nodes, top_order
     Instances instances;                         // input [n_instances]
@@ -152,8 +144,6 @@ struct BvhTopParams {
     uint n_padded;  // Length of `keys`, a power of two.
 };
 
-/// Parameters of accel/bvh_cost.comp, which estimates the traversal cost of the trees
-/// with the surface area heuristic.
 struct BvhCostParams {
     BvhWide wide;
     RELIDAR_OF(Floats, SurfelBoxes) boxes;  // input [n,6] boxes of the surfels

@@ -9,13 +9,11 @@
 
 RELIDAR_SHARED_BEGIN
 
-// Actions that densification can choose for a surfel.
 #define RELIDAR_DENSIFY_DROP 0  // pruned
 #define RELIDAR_DENSIFY_KEEP 1
 #define RELIDAR_DENSIFY_CLONE 2  // kept, and a copy is added next to it
 #define RELIDAR_DENSIFY_SPLIT 3  // replaced by two smaller surfels
 
-// Counters per model, one uint each.
 #define RELIDAR_DENSIFY_KEPT 0     // surfels that stay, including growing surfels
 #define RELIDAR_DENSIFY_INVALID 1  // dropped: parameters not finite or invalid
 #define RELIDAR_DENSIFY_FAINT 2    // dropped: opacity too small
@@ -26,8 +24,6 @@ RELIDAR_SHARED_BEGIN
 #define RELIDAR_DENSIFY_WEIGHT 7   // sum of the weights of growing surfels
 #define RELIDAR_DENSIFY_COUNTERS 8
 
-/// Parameters of densify/observe.comp, which adds one batch to the densification
-/// statistics.
 struct ObserveParams {
     // Input [n,3]: gradient with respect to the mean position of each surfel. Undefined
     // if the surfel's entry of `touched` is 0.
@@ -49,8 +45,6 @@ struct ObserveParams {
     uint is_full_frame;  // 1: the batch contains all rays of the frame.
 };
 
-/// Parameters of densify/classify.comp, which chooses the action (drop, keep, clone or
-/// split) for each surfel.
 struct ClassifyParams {
     SurfelPointers surfels;                         // input
     RELIDAR_OF(Floats, GradientSums) gradient_sum;  // input [n]
@@ -75,8 +69,6 @@ struct ClassifyParams {
     uint key;  // key of the random numbers
 };
 
-/// Parameters of densify/allot.comp, which distributes n_new copies among the surfels to
-/// clone or split, in proportion to their weights.
 struct AllotParams {
     RELIDAR_OF(Uints, GrowthWeights) weight;      // input [n]
     RELIDAR_OF(Uints, WeightsBefore) cumulative;  // input [n] sum of the preceding weights
@@ -91,8 +83,6 @@ struct AllotParams {
     uint phase;  // 0 <= phase < total_weight
 };
 
-/// Parameters of densify/move.comp, which copies the values of all surfels to their new
-/// positions in one array.
 struct MoveParams {
     RELIDAR_OF(Uints, OldRows) from;           // input [n,stride] bits of any type
     RELIDAR_OF(Uints, NewRows) to;             // output [sum of n_rows,stride]
@@ -106,8 +96,6 @@ struct MoveParams {
     uint fresh;
 };
 
-/// Parameters of densify/spawn.comp, which moves and shrinks the copies of split surfels.
-/// Kernel densify/move makes these copies before.
 struct SpawnParams {
     SurfelPointers surfels;                    // in place, in the new order
     RELIDAR_OF(Uints, DensifyActions) action;  // input [n] in the old order
@@ -117,7 +105,6 @@ struct SpawnParams {
     uint key;
 };
 
-/// Parameters of densify/reset_opacity.comp, which limits the opacity of all surfels.
 struct ResetOpacityParams {
     RELIDAR_OF(Floats, OpacityLogits) opacity_logit;  // in place [n]
     float max_logit;

@@ -7,7 +7,6 @@
 
 RELIDAR_SHARED_BEGIN
 
-// Consecutive channels of images.
 struct ImageSlice {
     Floats values;
     uint channels;  // number of channels of the images

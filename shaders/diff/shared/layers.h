@@ -55,8 +55,6 @@ struct SumPartsParams {
     uint n;
 };
 
-// Parameters of network/channel_sums.comp, which computes sums over the pixels of each
-// channel, separately for each part of an image.
 struct ChannelSumsParams {
     ImageSlice from;  // input
     ImageSlice d_to;  // input, for kSums_norm_vjp: gradient of the output of network/norm

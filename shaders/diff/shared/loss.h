@@ -61,8 +61,6 @@ struct SsimParams {
 #define RELIDAR_NO_POINT 1e30
 #define RELIDAR_NO_INDEX 0xffffffffu
 
-/// Parameters of loss/chamfer_points.comp, which computes the simulated and the measured
-/// point of each ray.
 struct ChamferPointsParams {
     Rays rays;              // input
     RenderedRays rendered;  // input [n_rays]
@@ -77,7 +75,6 @@ struct ChamferPointsParams {
     uint normalised_depth;  // 1: the range of a simulated point is D / W. 0: the range is D.
 };
 
-/// Parameters of loss/chamfer_boxes.comp, which computes bounding boxes of image tiles.
 /// The elements of a tile are points, or the boxes of smaller tiles.
 struct ChamferBoxesParams {
     RELIDAR_OF(Vec3s, LowCorners) low;    // input [rows,columns]
@@ -102,8 +99,6 @@ struct ChamferCloud {
     RELIDAR_OF(Vec3s, GroupHighs) group_high;
 };
 
-/// Parameters of loss/chamfer_nearest.comp, which finds nearest points between two clouds
-/// of the same image size.
 struct ChamferNearestParams {
     RELIDAR_OF(Vec3s, QueryPoints) queries;  // input [rows,columns]
     ChamferCloud cloud;                      // input
@@ -116,8 +111,6 @@ struct ChamferNearestParams {
     uint tile_columns;
 };
 
-/// Parameters of the Chamfer loss and its derivative. The loss is a sum of squared
-/// distances to the nearest point, in both directions.
 struct ChamferParams {
     Rays rays;                                     // input
     RenderedRays rendered;                         // input [n_rays]
@@ -142,8 +135,6 @@ struct ChamferParams {
     uint normalised_depth;
 };
 
-/// Parameters of loss/surfel_loss.comp, which penalises surfels outside the box of their
-/// actor.
 struct SurfelLossParams {
     SurfelPointers surfels;    // input
     SurfelPointers d_surfels;  // accumulated: mean, log_scale

@@ -63,8 +63,6 @@ struct DropLossParams {
     float weight;  // weight per pixel
 };
 
-// Parameters of network/drop_inputs.comp, which copies stored samples into a batch of
-// input images.
 struct DropInputsParams {
     RELIDAR_OF(Floats, DropSamples) samples;    // input [n_samples, channels, n_pixels] rendered values
     RELIDAR_OF(Floats, SampleTargets) targets;  // input [n_samples, n_pixels], or address 0

@@ -64,7 +64,6 @@ struct TraceScene {
 // list's length. Kernel forward/trace then renders the ray without the list.
 #define RELIDAR_LIST_UNFIT 0xffffffffu
 
-/// Hit lists, one for each tracing thread.
 struct HitLists {
     Hits hits;                               // [ceil(n/2),room,2]
     RELIDAR_OF(Uints, ListLengths) lengths;  // [n]
@@ -108,8 +107,6 @@ struct SortHitsParams {
     HitLists lists;  // in and output: hits sorted by key
 };
 
-/// Parameters of traversal/collect_hits.comp, which writes all hits of each ray from near
-/// to far, for tests.
 struct CollectHitsParams {
     TraceScene scene;
     RELIDAR_OF(Uints, HitCounts) counts;       // output [n_rays] number of hits, may exceed max_hits

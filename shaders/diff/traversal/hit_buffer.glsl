@@ -62,7 +62,6 @@ void append_hit(Hit hit) {
     ++n_hits;
 }
 
-/// Writes the indices of the stored hits to hit_place, from near to far.
 void sort_hit_indices() {
     uint place = next_nearer[CHUNK];
     for (uint i = n_hits; i > 0u; --i) {

@@ -45,7 +45,6 @@ float compute_transmittance_factor(float alpha) {
     return 1.0 - alpha;
 }
 
-/// Appends a hit to the list.
 void insert_hit(HitKey key, float alpha, float alpha_max) {
     uint slot = n_hits++;
     if (slot >= listed.room) {  // The list is full, so kernel forward/trace must render this ray.
@@ -68,8 +67,6 @@ void insert_hit(HitKey key, float alpha, float alpha_max) {
 /// Does nothing, because kernel forward/sort_hits sorts the list later.
 void sort_hit_indices() {}
 
-/// Removes all hits. Hits are not needed if the transmittance before them is below
-/// `cutoff_transmittance`. 0 means that all hits are needed.
 void reset_hits_with_cutoff(float cutoff_transmittance) {
     n_hits = 0u;
     hits_closed = false;

@@ -3,7 +3,6 @@
 #ifndef RELIDAR_INCLUDED_DIFF_TRAVERSAL_KEYS_GLSL
 #define RELIDAR_INCLUDED_DIFF_TRAVERSAL_KEYS_GLSL
 
-/// Sort key of the hits of a ray.
 struct HitKey {
     float t;
     uint instance;

@@ -18,8 +18,6 @@
 #define RELIDAR_INCLUDED_DIFF_TRAVERSAL_RAY_QUERY_GLSL
 RELIDAR_CONSTANT(uint, BOXES, 0u);
 
-/// Returns true if the distance between the ray and the origin of the model is less than
-/// `radius_m`.
 bool is_ray_near_model_origin(float radius_m) {
     float along = dot(entered_origin, entered_direction);
     vec3 nearest = along < 0.0 ? entered_origin - along * entered_direction : entered_origin;
@@ -27,7 +25,6 @@ bool is_ray_near_model_origin(float radius_m) {
     return dot(nearest, nearest) <= reached * reached;
 }
 
-/// Parameters of one ray query.
 struct RayQueryParams {
     vec3 origin;  // world, m
     vec3 direction;

@@ -13,7 +13,6 @@ RELIDAR_SHARED_BEGIN
 #define RELIDAR_SORT_BITS 8u      // Bits of a digit.
 #define RELIDAR_SORT_DIGITS 256u  // Number of values of a digit. One thread processes one value.
 
-/// Parameters of an exclusive prefix sum (gpu/scan_sums.comp, gpu/scan_write.comp).
 struct ScanParams {
     RELIDAR_OF(Uints, ScanCounts) counts;  // Input: element i is counts[offset + i * stride].
     // Sum of the counts in each tile [tiles], written by kernel scan_sums. The sums are
@@ -50,7 +49,6 @@ struct RadixSortParams {
     uint shift;  // Bit position of the digit, a multiple of RELIDAR_SORT_BITS.
 };
 
-/// Parameters of the copy kernel for bandwidth measurements (gpu/copy.comp).
 struct CopyParams {
     RELIDAR_OF(Vec4s, CopySource) from;  // Input: source vectors, [n].
     RELIDAR_OF(Vec4s, CopyTarget) to;    // Output: copied vectors, [n].
@@ -60,8 +58,6 @@ struct CopyParams {
 #define RELIDAR_CHECK_AMOUNTS 7u   // Number of different values that check_atomics adds.
 #define RELIDAR_CHECK_RESULTS 11u  // Results per thread of check_subgroups.
 
-/// Parameters of the kernel in which many threads add to the same sums
-/// (gpu/check_atomics.comp).
 struct CheckAtomicsParams {
     Floats sums;  // Accumulated: thread i adds 1 + i % RELIDAR_CHECK_AMOUNTS to sum i % n_sums.
     uint n;
@@ -69,7 +65,6 @@ struct CheckAtomicsParams {
     uint fault;  // 1: adds without atomics, so that a test can provoke wrong sums.
 };
 
-/// Parameters of the kernel that checks subgroup operations (gpu/check_subgroups.comp).
 struct CheckSubgroupsParams {
     Uints results;  // Output, [threads,RELIDAR_CHECK_RESULTS].
     uint fault;     // 1: one lane adds nothing, so that a test can provoke a wrong sum.

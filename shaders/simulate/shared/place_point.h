@@ -26,18 +26,12 @@ RELIDAR_FUNCTION float compute_motion_fraction(SensorPose pose, float time_offse
     return share;
 }
 
-/// Transforms a direction from the sensor frame at the firing time to the frame in which
-/// the sensor poses are given.
-/// @param pose last sensor pose before the firing time
 RELIDAR_FUNCTION vec3 to_world_direction(SensorPose pose, float time_offset_s, vec3 direction) {
     RELIDAR_EXACT vec3 rotated = direction.x * pose.x + direction.y * pose.y + direction.z * pose.z;
     RELIDAR_EXACT vec3 turn = compute_motion_fraction(pose, time_offset_s) * pose.turn;
     return rotate_point(turn, rotated);
 }
 
-/// Transforms a point from the sensor frame at the firing time to the frame in which the
-/// sensor poses are given.
-/// @param pose last sensor pose before the firing time
 RELIDAR_FUNCTION vec3 transform_sensor_point_to_world(SensorPose pose, float time_offset_s,
                                                       vec3 sensor_point) {
     RELIDAR_EXACT vec3 moved = pose.position_rest + compute_motion_fraction(pose, time_offset_s) * pose.way;

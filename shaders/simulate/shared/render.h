@@ -6,7 +6,6 @@
 
 RELIDAR_SHARED_BEGIN
 
-/// A ray of a sensor, in the sensor frame.
 struct SensorRay {
     vec3 origin;          // m
     vec3 direction;       // unit vector
@@ -18,7 +17,6 @@ struct SensorRay {
 };
 RELIDAR_DECLARE_POINTER(SensorRays, SensorRay);
 
-/// Pose of the sensor, and the motion from this pose to the next pose.
 struct SensorPose {
     vec3 x;  // axes of the sensor
     vec3 y;
@@ -48,7 +46,6 @@ struct SensorBeam {
 };
 RELIDAR_DECLARE_POINTER(SensorBeams, SensorBeam);
 
-/// Measurement of a ray of a scan.
 struct MeasuredRay {
     float range_m;  // Range of the type that config.render.range selects. 0 if the ray hit nothing.
     // Median range, m: distance at which the transmittance of the ray falls to 0.5. Equal
@@ -68,7 +65,6 @@ struct MeasuredRay {
 };
 RELIDAR_DECLARE_POINTER(MeasuredRays, MeasuredRay);
 
-// Types of range that config.render.range can select.
 #define RELIDAR_RANGE_NORMALISED 0u
 #define RELIDAR_RANGE_EXPECTED 1u
 #define RELIDAR_RANGE_MODE 2u
@@ -118,7 +114,6 @@ struct DropChannelsParams {
     uint n_rays;
 };
 
-/// Point that a ray with a return produces.
 struct ReturnedPoint {
     vec3 position;        // m
     float intensity;      // 0..1

@@ -11,10 +11,6 @@ RELIDAR_SHARED_BEGIN
 // of 4 columns x 2 rows. A group is as wide as such a tile.
 #define RELIDAR_COLUMN_GROUP 4u
 
-/// Parameters of train/gather_columns.comp, which copies columns of a frame into a
-/// smaller image. It copies groups of RELIDAR_COLUMN_GROUP neighbouring columns. Group k
-/// starts at column first_column + k * column_stride * RELIDAR_COLUMN_GROUP. Columns wrap
-/// around at the end of the frame.
 struct GatherColumnsParams {
     Rays rays;              // input [rows,columns]
     Targets targets;        // input [rows,columns]
@@ -43,8 +39,6 @@ struct PoseKnot {
 };
 RELIDAR_DECLARE_POINTER(PoseKnots, PoseKnot);
 
-/// Parameters of train/move_rays.comp, which applies the corrections of the sensor poses
-/// to the rays of a frame.
 struct MoveRaysParams {
     Rays rays;                          // input [n_rays]
     PoseInterpolations interpolations;  // input [n_rays]

@@ -1,6 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Submits the kernels that build and refit the software BVH (bounding volume hierarchy),
-// including its top-level tree over the instances.
 #include "diff/accel/bvh.hpp"
 
 #include <algorithm>
@@ -25,7 +23,6 @@ static_assert(sizeof(shared::BvhNode) == 80);
 namespace {
 
 constexpr std::uint32_t kWorkgroup = RELIDAR_BVH_WORKGROUP;
-// Workgroup size of the kernels whose threads exchange data in shared memory.
 constexpr SpecialisationConstant kShares{SpecialisationConstantId::WORKGROUP_SIZE, kWorkgroup};
 
 // Number of threads that refit a tree on a CPU. Each of the n threads processes every
@@ -41,7 +38,6 @@ std::uint32_t count_surfel_tiles(std::uint32_t n_surfels) {
     return (n_surfels + RELIDAR_BVH_TILE - 1) / RELIDAR_BVH_TILE;
 }
 
-/// Returns the number of lanes in a subgroup of the device.
 /// @throws DeviceError if the device lacks a feature that the kernels need
 std::uint32_t get_subgroup_size(const Device& device) {
     const DeviceInfo& info = device.info();
@@ -57,8 +53,6 @@ std::vector<std::uint32_t> get_model_index_per_instance(const DeviceScene& scene
     return models;
 }
 
-/// Returns the number of nodes of a tree with `n_instances` instances and eight children
-/// per node.
 std::uint32_t count_top_level_nodes(std::uint32_t n_instances) {
     std::uint32_t n_nodes = 0;
     do {
@@ -95,7 +89,6 @@ struct Bvh::Impl {
     Array<std::uint32_t, shared::InstanceModels> model_of;  ///< [n_instances] model of each instance
     Array<float, shared::SurfelBoxes> boxes;                ///< [n,6] boxes of the surfels, in m
     Array<std::uint32_t, shared::ModelBounds> bounds;       ///< [n_models,6] bounds of the box centres
-    /// Memory for arrays that only the build of a tree uses.
     Array<std::uint32_t> scratch;
     Array<std::uint32_t, shared::BinaryRoots> queue;       ///< [bound] binary nodes that become wide nodes
     Array<std::uint32_t, shared::LevelSizes> level_sizes;  ///< number of queue entries per level
@@ -140,8 +133,6 @@ struct Bvh::Impl {
     void compute_surfel_boxes(Stream& stream, const DeviceScene& scene, const AccelOptions& options,
                               const SurfelRange& range);
     SortBuffers sort_surfels_by_morton_code(Stream& stream, const DeviceScene& scene);
-    /// Submits kernels that compute the node boxes of the models whose first surfel has
-    /// an index in [first_surfel, last_surfel].
     void compute_node_boxes_of_models(Stream& stream, std::uint32_t first_surfel, std::uint32_t last_surfel);
 };
 

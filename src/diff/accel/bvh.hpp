@@ -41,8 +41,6 @@ public:
     Bvh(Device& device, const DeviceScene& scene);
     ~Bvh();
 
-    /// Submits kernels that compute the surfel boxes, the trees of all models and the
-    /// top-level tree over the instances.
     void build_trees(Stream& stream, const DeviceScene& scene, const AccelOptions& options);
     /// Submits kernels that update the boxes in the trees of models and rebuild the
     /// top-level tree. Keeps the structure of the models' trees. Requires an earlier
@@ -50,8 +48,6 @@ public:
     /// @param ranges models to update. The surfels of other models must not have changed
     void refit_trees(Stream& stream, const DeviceScene& scene, const AccelOptions& options,
                      const std::vector<SurfelRange>& ranges);
-    /// Submits kernels that rebuild only the top-level tree. Call this function after
-    /// instances have moved.
     void rebuild_top_level_tree(Stream& stream, const DeviceScene& scene);
 
     shared::BvhPointers get_bvh_gpu_addresses() const;
@@ -61,8 +57,7 @@ public:
     /// much higher than after the last build.
     void record_traversal_cost_measurement(Stream& stream);
     std::optional<double> read_traversal_cost(Stream& stream);
-    /// Copies the BVH to the host, for tests. Waits for the device. The caller must have
-    /// submitted all recorded commands.
+    /// For tests. Waits for the device. All recorded commands must be submitted.
     HostBvhCopy download_bvh() const;
 
     /// Returns the maximum number of nodes in the trees of all models: n / 4 nodes for n

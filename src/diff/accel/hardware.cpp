@@ -1,6 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Acceleration structures of the Vulkan driver: one bottom-level structure per model, and
-// one top-level structure with all instances.
 #include "diff/accel/hardware.hpp"
 
 #include <algorithm>
@@ -18,7 +16,6 @@ namespace relidar {
 
 namespace {
 
-/// Acceleration structure and the buffer that stores it.
 struct VulkanAccelStructure {
     Device::Impl* device = nullptr;
     std::unique_ptr<Buffer> storage;
@@ -59,8 +56,6 @@ struct BuildInput {
         VK_STRUCTURE_TYPE_ACCELERATION_STRUCTURE_BUILD_GEOMETRY_INFO_KHR};
     VkAccelerationStructureBuildRangeInfoKHR range{};
 
-    /// Returns the memory sizes that the build of an acceleration structure needs.
-    /// @param n_primitives number of triangles, boxes or instances
     VkAccelerationStructureBuildSizesInfoKHR query_build_sizes(Device::Impl& device,
                                                                std::uint32_t n_primitives) {
         range.primitiveCount = n_primitives;
@@ -169,8 +164,7 @@ struct RayQueryAccel::Impl {
     std::uint64_t write_instances_and_get_address(Stream::Impl& stream, const DeviceScene& scene);
 };
 
-/// Describes the geometry of one model, which is a part of the array `geometry`. The
-/// geometry is marked as not opaque, so that the shader can test every candidate hit.
+/// The geometry is not opaque, so that the shader can test every candidate hit.
 void RayQueryAccel::Impl::append_blas_build_input(const SurfelModel& model) {
     BuildInput& input = blas_input.emplace_back();
     if (proxy == ProxyShape::boxes) {
@@ -204,9 +198,7 @@ void RayQueryAccel::Impl::upload_moving_instances(
                                    moving_instances.size() * sizeof(moving_instances[0]));
 }
 
-/// Writes the instances to temporary memory. Leaves out absent instances and models
-/// without surfels.
-/// @return device address of the instances
+/// Leaves out absent instances and models without surfels.
 std::uint64_t RayQueryAccel::Impl::write_instances_and_get_address(Stream::Impl& stream,
                                                                    const DeviceScene& scene) {
     const Scene& layout = scene.get_scene_layout();
@@ -331,7 +323,6 @@ void RayQueryAccel::record_build_or_refit(Stream& stream, const DeviceScene& sce
     // of the enclosing icosahedron. It is reset only if all models are updated.
     if (a.reach.size() && n == scene.size()) stream.fill(a.reach);
     for (const SurfelRange& range : ranges) a.compute_proxy_shapes(stream, scene, options, range);
-    // Resets the radii only if all models are updated.
     if (n == scene.size()) stream.fill(a.radii);
     for (const SurfelRange& range : ranges) a.compute_model_radii(stream, scene, options, range);
     std::vector<BuildInput> inputs;

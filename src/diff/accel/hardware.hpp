@@ -17,8 +17,6 @@ namespace relidar {
 
 class RayQueryAccel {
 public:
-    /// Allocates memory for the acceleration structures of a scene. Does not build them.
-    /// @param proxy kind of shape that encloses a surfel: triangles or boxes
     RayQueryAccel(Device& device, const DeviceScene& scene, ProxyShape proxy);
     ~RayQueryAccel();
 
@@ -27,11 +25,8 @@ public:
     /// @param ranges surfels of the models to update. Other surfels must be unchanged
     void record_build_or_refit(Stream& stream, const DeviceScene& scene, const AccelOptions& options,
                                const std::vector<SurfelRange>& ranges, bool refit_only);
-    /// Records commands that rebuild only the top-level structure, after instances have
-    /// moved.
     void rebuild_top_level_structure(Stream& stream, const DeviceScene& scene);
 
-    /// Writes the addresses that ray queries need into `addresses`.
     void write_ray_query_gpu_addresses(AccelAddresses& addresses) const;
 
 private:

@@ -1,6 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Host side of the backward pass (Eq. 9). Submits kernels that trace the rays again, sum
-// the gradients of the hits, and apply the chain rule per surfel.
 #include <relidar/diff/backward.hpp>
 
 #include <fmt/format.h>

@@ -1,5 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Allocates the device arrays for all requested gradients.
 #include "diff/backward/pose_gradients.hpp"
 
 namespace relidar {

@@ -1,6 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Submits the kernels diff/backward/gather and diff/backward/gather_heads, which sum the
-// gradients of hits without atomics.
 #include "diff/backward/hit_gather.hpp"
 
 #include <algorithm>

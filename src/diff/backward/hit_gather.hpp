@@ -15,26 +15,19 @@ namespace relidar {
 
 class HitGradientGather {
 public:
-    /// Creates the kernels that sort and sum the gradients of hits.
-    /// @param hits_per_ray memory is allocated for this number of hits per ray of the
-    /// largest batch
     HitGradientGather(Device& device, const ImageFormationModel& model, std::uint32_t hits_per_ray,
                       const TraceOptions& options);
     /// Assigns a record index to each rendered hit, in the order of the rays. If the
     /// batch is larger than all earlier batches, waits for the device and allocates
     /// memory.
     void assign_hit_record_indices(Stream& stream, const RenderedBatch& batch);
-    /// Writes into `params` the addresses at which the backward kernel stores its hits.
     void set_hit_record_addresses(shared::BackwardParams& params) const;
-    /// Sums the gradients of all hits by surfel and adds the sums to the arrays of
-    /// `params`.
     void sum_hit_gradients(Stream& stream, const shared::BackwardParams& params);
     /// Returns an array with one number on the device: the maximum number of hits in any
     /// batch so far. The host can reset this number to 0.
     const Array<std::uint32_t>& get_max_hit_count_array() const { return most_hits_; }
     std::uint64_t get_hit_capacity() const { return sort_ ? sort_->capacity() : 0; }
-    /// Allocates memory for at least `n_hits` hits. The device must be idle, because the
-    /// old memory is freed.
+    /// The device must be idle.
     void reserve_hit_records(std::uint64_t n_hits);
 
 private:

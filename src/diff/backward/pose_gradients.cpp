@@ -1,6 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Submits the kernels that compute the gradients of the poses of instances and of the
-// sensor.
 #include "diff/backward/pose_gradients.hpp"
 
 #include <algorithm>

@@ -21,12 +21,9 @@ struct DeviceGradients::PoseGradientSums {
     PoseGradientSums(Device& device, const DeviceScene& scene);
 };
 
-/// The three kernels that compute pose gradients.
 class PoseGradientKernels {
 public:
     explicit PoseGradientKernels(Device& device);
-    /// Computes the pose gradients of all instances and of the sensor from the gradients
-    /// of the surfels and of the viewing directions.
     void compute_pose_gradients(Stream& stream, const DeviceScene& scene, const ImageFormationModel& model,
                                 const glm::vec3& view_origin_m, DeviceGradients& gradients);
 

@@ -1,6 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Computes the number of surfels after a densification. Reads the numbers of surfels that
-// are kept, dropped, cloned and split.
 #include "diff/densify/growth_plan.hpp"
 
 #include <algorithm>

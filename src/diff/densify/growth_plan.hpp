@@ -31,7 +31,6 @@ struct GrowthPlan {
     /// below total_weight. Kernel diff/densify/allot must use the same formula.
     /// @param cumulative_weight sum of the weights of the first k surfels
     std::uint32_t count_copies_up_to_cumulative_weight(std::uint64_t cumulative_weight) const;
-    /// Returns the models with their surfel ranges after surfels were added and removed.
     std::vector<SurfelModel> assign_new_surfel_ranges(std::vector<SurfelModel> models,
                                                       const std::vector<ModelDensifyCounters>& counts) const;
 };
@@ -45,7 +44,6 @@ GrowthPlan plan_surfel_growth(const std::vector<ModelDensifyCounters>& counts, c
 /// remove existing surfels.
 GrowthPlan limit_growth_plan(GrowthPlan plan, std::uint32_t max_surfels);
 
-/// Sums the densification counters of all models and returns them as a report.
 DensifyReport make_densify_report(const std::vector<ModelDensifyCounters>& counts, const GrowthPlan& plan);
 
 }  // namespace relidar

@@ -1,6 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Submits the kernels diff/densify/allot and diff/densify/move, which distribute copies
-// and move surfels to their new rows.
 #include "diff/densify/rearrange.hpp"
 
 #include <algorithm>

@@ -16,27 +16,18 @@ class SurfelReorderer {
 public:
     SurfelReorderer(Device& device, std::uint32_t n_surfels, std::uint32_t n_frames,
                     SurfelParameterSet parameter_set);
-    /// Allocates memory for a number of surfels. The device must be idle.
-    /// @throws DeviceError if memory is exhausted. The existing data stays valid
+    /// The device must be idle. If memory is exhausted, throws DeviceError and keeps the
+    /// data.
     void reserve_surfel_memory(std::uint32_t n_surfels);
     std::uint32_t capacity() const;
-    /// Returns the memory per surfel in bytes.
     std::size_t compute_bytes_per_surfel() const;
-    /// Submits the kernels that decide which surfels are copied, and compute the new
-    /// array index of each surfel. Reads `action` and `weight`.
-    /// @param n_surfels_before number of surfels before surfels are added and removed
+    /// Computes the new index of each surfel from `action` and `weight`.
     void compute_new_surfel_indices(Stream& stream, const GrowthPlan& plan, std::uint32_t n_surfels_before);
-    /// Submits the kernels that move the rows of all arrays in `surfel_arrays` to the new
-    /// positions of the surfels.
     /// @param zero_new_rows true: values of new and changed surfels are set to zero
-    /// @param n_surfels_after number of surfels after the densification
     void move_surfels_to_new_indices(Stream& stream, SurfelArrays& surfel_arrays, bool zero_new_rows,
                                      std::uint32_t n_surfels_after);
-    /// Submits the kernels that move the per-surfel statistics to the new array indices.
     /// Resets all statistics except the frames in which a surfel was visible.
     void move_statistics_to_new_indices(Stream& stream);
-    /// Submits commands that reset the sums of gradient norms and the numbers of batches
-    /// to zero.
     void reset_gradient_sums(Stream& stream);
 
     SurfelStatistics statistics;

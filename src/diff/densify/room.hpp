@@ -13,9 +13,7 @@
 
 namespace relidar {
 
-/// Tests whether `n_bytes` of device memory are available, by allocating and freeing
-/// them.
-/// @return an empty string, or the reason why the allocation failed
+/// Returns an empty string, or the reason why the allocation failed.
 inline std::string try_allocation_and_get_error(Device& device, double n_bytes) {
     // allocates in pieces, because drivers limit the size of one allocation
     constexpr double kPiece = double(256 << 20);

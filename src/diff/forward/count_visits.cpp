@@ -40,7 +40,6 @@ std::optional<VisitCounts> count_bvh_visits(Device& device, const DeviceScene& s
                                     .surface_gap_m = options.mode_gap_m.value_or(0.0f)};
     std::optional<HitListTracer> lists;
     if (should_use_hit_lists(device, options)) {
-        // lists with space for all hits
         lists.emplace(device, KernelVariant("@software_bvh"), constants, RELIDAR_MOST_ROOM);
         lists->render_with_hit_lists(stream, batch, params);
     }

@@ -1,6 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Host side of rendering with hit lists: submits kernels that fill, sort and blend the
-// lists. Increases the capacity of the lists if rays have more hits than fit.
 #include "diff/forward/hit_lists.hpp"
 
 #include <algorithm>
@@ -87,8 +85,6 @@ shared::HitLists HitListTracer::reserve_hit_lists(Stream& stream, std::size_t n_
     if (n > kMostLists) return {};
     if (has_hit_list_overflowed(stream)) {
         hits_per_list_ = std::min(2 * hits_per_list_, max_hits_per_list_);
-        // Resets the number of rays that had more hits than their lists can hold, because
-        // the lists now have a larger capacity.
         stream.fill(n_overflows_);
         overflows_before_ = 0;
     }
@@ -101,7 +97,6 @@ shared::HitLists HitListTracer::reserve_hit_lists(Stream& stream, std::size_t n_
     if ((uses_stored_hit_memory ? hits_.size() > 0 : !can_reuse_lists) || lengths_.size() < n)
         stream.submit_and_wait();
     if (uses_stored_hit_memory) hits_ = {};
-    // allocates at least as many lists as before
     else if (!can_reuse_lists)
         allocate_hit_lists(
             std::max(n, allocated_hits_per_list_ > 0 ? hits_.size() / allocated_hits_per_list_ : 0));

@@ -1,6 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Renders rays: computes surfel records, updates the acceleration structure and runs the
-// forward pass. Owns the arrays for the rendered values.
 #include <relidar/diff/forward.hpp>
 
 #include <algorithm>
@@ -136,7 +134,6 @@ void Renderer::record_forward_pass(const RayBatch& rays) {
         r.allocate_hit_storage_that_fits(count_trace_threads(rays));
     }
     r.batch.rays = rays;
-    // Eq. 2-4 of the paper
     r.forward.record_forward_pass(r.stream, r.scene, *r.accel, rays, r.rendered,
                                   r.stored_hits ? &*r.stored_hits : nullptr, r.batch.surfaces);
 }

@@ -1,6 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Host side of the Chamfer loss (Eq. 11): submits kernels that compute points, find
-// nearest points, and compute the loss and its derivative.
 #include <relidar/diff/loss.hpp>
 
 #include <relidar/diff/traversal.hpp>
@@ -29,7 +27,6 @@ struct ImageTileLevels {
     }
 };
 
-/// Point cloud with bounding boxes of its tiles.
 struct TiledPointCloud {
     Array<glm::vec3, shared::CloudPoints> points;
     Array<glm::vec3, shared::TileLows> tile_low;

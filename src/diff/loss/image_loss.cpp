@@ -1,6 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Host side of the image losses (Eq. 10): depth, intensity, ray drop and structural
-// similarity.
 #include <relidar/diff/loss.hpp>
 
 #include <algorithm>

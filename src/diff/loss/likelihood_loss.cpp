@@ -1,5 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Submits the kernel diff/loss/likelihood_loss (docs/method.md M12).
 #include <relidar/diff/loss.hpp>
 
 #include <algorithm>

@@ -1,5 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Creates the losses of all loss terms. Checks the order of the terms.
 #include <algorithm>
 
 #include "diff/loss/losses.hpp"

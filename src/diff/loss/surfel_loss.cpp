@@ -1,6 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Host side of the loss for surfels outside the box of their actor. Submits one launch
-// over the surfels of all models that have a box.
 #include <relidar/diff/loss.hpp>
 
 #include <algorithm>

@@ -1,6 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Host side of multi-head attention: submits matrix products and the softmax. Attention
-// weights are stored as [n, heads, query pixel, key pixel].
 #include "diff/network/attention.hpp"
 
 #include <cmath>

@@ -7,7 +7,6 @@
 
 namespace relidar::refine {
 
-/// Intermediate results that the forward pass stores for the backward pass.
 struct AttentionActivations {
     /// Attention weights [n, heads, pixels, pixels] (softmax of the scores). A row
     /// contains the weights with which one pixel attends to all pixels.
@@ -17,8 +16,6 @@ struct AttentionActivations {
 
 class Attention {
 public:
-    /// Creates the kernels for attention.
-    /// @param heads number of heads. The channels are divided equally between the heads
     Attention(Device& device, std::uint32_t heads);
 
     AttentionActivations allocate_attention_activations(Device& device, const ImageBatchSize& grid,

@@ -1,6 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Submits the kernels of convolutions: the forward pass and the derivatives with respect
-// to images and weights.
 #include "diff/network/conv.hpp"
 
 #include <algorithm>

@@ -10,8 +10,6 @@
 
 namespace relidar::refine {
 
-/// Convolution kernels of one size (1x1 or 3x3), with memory for partial sums of
-/// gradients.
 class ConvolutionKernels {
 public:
     using Weights = Address<float, shared::ConvWeights>;
@@ -28,17 +26,13 @@ public:
     /// @param accumulate true: adds the result to `output` instead of overwriting it
     void run_convolution(Stream& stream, const ChannelSlice& input, Weights weights, Bias bias,
                          const ChannelSlice& output, bool accumulate = false);
-    /// Computes d_input, the gradient of the input, from d_output, the gradient of the
-    /// output.
-    /// @param accumulate true: adds the result to `d_input` instead of overwriting it
+    /// Computes the gradient of the input, `d_input`.
     void backpropagate_input(Stream& stream, const ChannelSlice& d_output, Weights weights,
                              const ChannelSlice& d_input, bool accumulate = false);
     /// Computes the gradient of the weights, [output channels, input channels, taps].
     /// Adds in a fixed order, so that every run gives the same result.
     void backpropagate_weights(Stream& stream, const ChannelSlice& input, const ChannelSlice& d_output,
                                Weights d_weights);
-    /// Returns the number of floats that backpropagate_weights() needs for its partial
-    /// sums.
     std::size_t count_partial_sum_floats(const ImageBatchSize& grid, std::uint32_t n_input_channels,
                                          std::uint32_t n_output_channels) const;
     void reserve_partial_sums(Device& device, std::size_t n_floats) {

@@ -1,6 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Submits the kernel diff/network/drop_inputs, which copies stored samples into input
-// images.
 #include "diff/network/drop_inputs.hpp"
 
 #include <algorithm>
@@ -96,8 +94,6 @@ void RayDropInputs::fill_input_batch(Stream& stream, std::span<const RotatedSamp
     fill_input_batch(stream, selection, params, output_images);
 }
 
-/// Submits the kernel that copies the chosen images into a batch.
-/// @param params must contain the addresses of samples and targets
 void RayDropInputs::fill_input_batch(Stream& stream, std::span<const RotatedSample> selection,
                                      shared::DropInputsParams params, const Tensor& output_images) {
     std::vector<std::uint32_t> samples, column_shifts;

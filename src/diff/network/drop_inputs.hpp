@@ -22,16 +22,12 @@ class RayDropInputs {
 public:
     RayDropInputs(Device& device, const RayDropNetwork& network);
 
-    /// Uploads training images to the device and replaces all earlier images.
-    /// @param images images of equal size, already checked
     void upload_training_images(Device& device, std::span<const RayDropImage> images);
 
     /// An image of a batch, and the number of columns by which its scene is rotated.
     struct RotatedSample {
         std::uint32_t sample = 0, column_shift = 0;
     };
-    /// Submits the kernel that creates a batch from the uploaded images.
-    /// @param output_images output, [n, channels, rows, columns]
     void fill_input_batch(Stream& stream, std::span<const RotatedSample> selection,
                           const Tensor& output_images);
     /// Submits the kernel that creates a batch from images that are already on the
@@ -49,7 +45,6 @@ public:
     /// rows, columns]. Same values as RayDropImage::dropped.
     const Array<float, shared::DropTargets>& get_measured_drops() const { return target_; }
     bool has_measured_drops() const { return targets_.size() > 0; }
-    /// Returns the number of pixels for which the log shows whether the ray was dropped.
     std::size_t count_pixels_with_known_target(std::uint32_t image_index) const {
         return n_known_pixels_[image_index];
     }

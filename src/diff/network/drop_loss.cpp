@@ -1,6 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Submits the kernel diff/network/drop_loss, which computes drop probabilities and their
-// cross-entropy.
 #include "diff/network/drop_loss.hpp"
 
 #include <algorithm>

@@ -8,7 +8,6 @@
 
 namespace relidar::refine {
 
-/// Loss and accuracy, averaged over the pixels of a batch whose measurement is known.
 struct RayDropScore {
     double entropy = 0.0;   ///< mean cross-entropy of the measured outcomes
     double accuracy = 0.0;  ///< Share of pixels whose predicted class (return or no return) is correct.
@@ -29,13 +28,10 @@ class RayDropLoss {
 public:
     RayDropLoss(Device& device, std::size_t n_pixels);
 
-    /// Submits the kernel that computes the loss of `n_pixels` pixels.
-    /// @param n_known_pixels number of pixels with a known target, by which the
-    /// derivative is divided
+    /// @param n_known_pixels number of pixels with a known target; divides the derivative
     void compute_drop_loss(Stream& stream, std::size_t n_pixels, const RayDropLossArrays& arrays,
                            std::size_t n_known_pixels);
-    /// Returns loss and accuracy of the last run, which must be finished.
-    /// @param n_known_pixels number of pixels with a known target
+    /// The last run must be finished.
     RayDropScore read_loss_and_accuracy(std::size_t n_known_pixels) const;
 
 private:

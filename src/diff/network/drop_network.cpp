@@ -32,7 +32,6 @@ struct NetworkPreset {
 
 const NetworkPreset& find_predefined_network(const std::string& name) {
     static const NetworkPreset networks[] = {{"small", 8, {1, 2, 4, 4}, 0, 9, true, 1, {}},
-                                             // docs/method.md
                                              {"paper", 32, {1, 2, 4, 8, 8}, 8, 9, false, 16, {0.1, true}},
                                              {"pixel", 16, {1}, 0, 1, true, 1, {}}};
     const auto match = std::find_if(std::begin(networks), std::end(networks),

@@ -16,8 +16,6 @@ namespace relidar::refine {
 /// heads does not divide the channels
 RayDropNetwork make_network_architecture(const RayDropNetworkOptions& options);
 
-/// Returns the number of images per training step.
-/// @throws UsageError if the network is unknown
 int get_batch_size(const RayDropNetworkOptions& options);
 
 /// Training settings that reduce overfitting. Small networks do not use them: dropout
@@ -29,11 +27,8 @@ struct NetworkRegularisation {
     /// that do not cover a full turn.
     bool turns = false;
 };
-/// Returns the training settings that reduce overfitting of a network.
-/// @throws UsageError if the network is unknown
 NetworkRegularisation get_regularisation(const RayDropNetworkOptions& options);
 
-/// Returns the index of the input channel that contains the rendered drop logit.
 std::uint32_t find_drop_logit_channel(const RayDropNetwork& network);
 
 /// Returns the number of input channels that are constant for the sensor (do not depend

@@ -1,6 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Runs inference with a trained ray-drop network, which predicts the rays that have no
-// return.
 #include <algorithm>
 #include <list>
 #include <optional>
@@ -52,7 +50,6 @@ void compile_network_pipelines(Device& device, const RayDropNetworkOptions& opti
 
 namespace {
 
-/// The network with memory for images of one size.
 struct SizedRayDropNetwork {
     refine::ImageBatchSize grid{};
     refine::RayDropInputs inputs;

@@ -16,7 +16,6 @@ namespace relidar::refine {
 
 class RayDropTraining {
 public:
-    /// Uploads the images, and creates the network and the optimizer.
     /// @throws DataError in the same cases as train_ray_drop_network()
     RayDropTraining(Device& device, const std::vector<RayDropImage>& images,
                     const RayDropNetworkOptions& options, std::uint64_t seed, bool timing = false);

@@ -1,6 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Submits the kernels of batch normalisation: the forward pass for training, the forward
-// pass for inference, and the derivatives.
 #include "diff/network/norm.hpp"
 
 #include <algorithm>
@@ -18,7 +16,6 @@ constexpr float kMomentum = 0.1f, kEpsilon = 1e-5f;
 std::uint32_t count_partial_sums_per_channel(const ImageBatchSize& grid) {
     return grid.n * std::uint32_t(std::clamp<std::size_t>(grid.count_pixels_per_image() / 4096, 1, 64));
 }
-/// Returns the number of threads that the kernels need for all pixels of a slice.
 std::size_t count_normalisation_threads(const ChannelSlice& slice) {
     constexpr std::size_t kStretch = std::size_t(kNormThreads) * RELIDAR_NORM_PIXELS;
     return std::size_t(slice.grid.n) * slice.channels *

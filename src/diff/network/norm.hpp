@@ -8,7 +8,6 @@
 
 namespace relidar::refine {
 
-/// Parameters of a normalisation layer.
 struct NormWeights {
     Address<glm::vec2, shared::BetaGamma> beta_gamma;  ///< [channels] beta and gamma of each channel
     /// Running mean and variance of each channel [channels], averaged over many batches.
@@ -23,7 +22,6 @@ struct NormGradientTarget {
     std::size_t first = 0;
 };
 
-/// Intermediate results of a layer that the forward pass stores for the backward pass.
 struct NormActivations {
     Array<glm::vec2, shared::NormMoments> moments;     ///< [channels] mean and 1 / deviation of each channel
     Array<glm::vec2, shared::ScaleShift> scale_shift;  ///< [channels] scale and shift of each channel
@@ -35,7 +33,6 @@ struct NormActivations {
         : moments(device, channels, "moments"), scale_shift(device, channels, "scale and shift") {}
 };
 
-/// Kernels of all normalisation layers.
 class NormalisationKernels {
 public:
     explicit NormalisationKernels(Device& device);
@@ -46,8 +43,7 @@ public:
     void run_norm_relu_dropout_for_training(Stream& stream, const ChannelSlice& input,
                                             const NormWeights& weights, NormActivations& state,
                                             const ChannelSlice& output);
-    /// Computes the layer for inference. Uses the running mean and variance, and no
-    /// dropout.
+    /// Uses the running mean and variance, and no dropout.
     void run_norm_relu_for_inference(Stream& stream, const ChannelSlice& input, const NormWeights& weights,
                                      NormActivations& state, const ChannelSlice& output);
     /// Computes the gradients of the input (d_input), beta and gamma from the gradient of
@@ -60,7 +56,6 @@ public:
     /// pixels of all images.
     void backpropagate_bias(Stream& stream, const ChannelSlice& d_output,
                             Address<float, shared::ConvBias> d_bias);
-    /// Allocates memory for images with this number of channels and pixels.
     void reserve_channel_sums(Device& device, std::uint32_t n_channels, const ImageBatchSize& grid);
 
 private:

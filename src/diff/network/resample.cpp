@@ -1,5 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Submits the kernels of max pooling and bilinear upsampling, and their derivatives.
 #include "diff/network/resample.hpp"
 
 #include "base/assert.hpp"

@@ -14,7 +14,6 @@
 
 namespace relidar::refine {
 
-/// Number of images, and rows and columns of each image.
 struct ImageBatchSize {
     std::uint32_t n = 0, rows = 0, columns = 0;
     bool circular = true;  ///< true: columns wrap around, because the image covers a full turn
@@ -30,7 +29,6 @@ inline std::uint32_t divide_rounding_up(std::uint32_t count, std::uint32_t group
     return (count + group_size - 1) / group_size;
 }
 
-/// View of consecutive channels of a tensor.
 struct ChannelSlice {
     shared::ImageSlice view;
     std::uint32_t channels = 0;

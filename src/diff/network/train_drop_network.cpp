@@ -34,7 +34,6 @@ std::vector<refine::RayDropInputs::RotatedSample> sample_epoch_order_and_rotatio
     return chosen;
 }
 
-/// State of a training between two steps.
 struct TrainingRunState {
     const std::size_t batch, n_steps;  ///< images per step, steps per epoch
     RayDropTrainProgress report;

@@ -17,7 +17,6 @@
 
 namespace relidar::refine {
 
-/// Offsets of a convolution's parameters in the parameter array.
 struct ConvParameterOffsets {
     std::uint32_t n_in = 0, n_out = 0, taps = 1;
     std::size_t weights = 0;
@@ -31,7 +30,6 @@ struct UnetBlockOffsets {
     ConvParameterOffsets conv;
 };
 
-/// Offsets of all parameters of a network.
 struct UnetParameterLayout {
     /// `first_conv` converts the inputs to the channels of the first level. `last_conv`
     /// converts these channels to a logit.
@@ -57,27 +55,20 @@ std::uint32_t count_concatenated_channels(const std::vector<std::uint32_t>& widt
 void initialise_network_parameters(RayDropNetwork& network, const UnetParameterLayout& parameter_layout,
                                    std::uint64_t seed);
 
-/// Network on a device, with its parameters and memory.
 class Unet {
 public:
     Unet(Device& device, const RayDropNetwork& network);
 
-    /// Allocates memory for passes over images of one size.
     /// @param with_gradients true: also allocates memory for run_backward_pass()
     void allocate_activations(Device& device, const ImageBatchSize& grid, bool with_gradients);
-    /// Submits a forward pass for training.
-    /// @param dropout_key random key for the dropout masks of this step
     void run_training_forward_pass(Stream& stream, std::uint32_t dropout_key, float dropout_rate);
-    /// Submits a forward pass for inference. Uses the running mean and variance, and no
-    /// dropout.
+    /// Uses the running mean and variance, and no dropout.
     void run_inference(Stream& stream);
-    /// Submits the backward pass after run_training_forward_pass(). Computes the
-    /// gradients of all parameters. Before the call, the caller must write the gradient
-    /// of the logits to get_drop_logit_gradients().
+    /// Follows run_training_forward_pass(). The caller writes get_drop_logit_gradients()
+    /// before.
     void run_backward_pass(Stream& stream);
 
-    /// Replaces all parameters of the network. Their number must not change. No pending
-    /// command on the device may use the old values.
+    /// No pending command on the device may use the old values.
     void upload_parameters(const std::vector<float>& parameters, const std::vector<float>& running_moments) {
         parameters_.upload(parameters);
         running_.upload(running_moments);
@@ -92,8 +83,7 @@ public:
     const Array<float>& get_running_moments() const { return running_; }
 
 private:
-    /// Results that the forward pass stores for the backward pass of a block: activations
-    /// after the normalisation, and intermediate values of the normalisation.
+    /// Results of a block that the backward pass needs.
     struct UnetBlockActivations {
         Tensor active;
         NormActivations norm;

@@ -1,5 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Host side of the Adam optimizer. Submits one launch per parameter group.
 #include <relidar/diff/optimizer.hpp>
 
 #include <algorithm>

@@ -1,5 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Computes gradients with a renderer, a backward pass and arrays for the gradients.
 #include <relidar/diff/differentiable_renderer.hpp>
 
 #include <algorithm>
@@ -15,7 +14,6 @@ namespace relidar {
 
 namespace {
 
-/// Returns the maximum number of rays per batch.
 std::uint32_t get_max_rays_per_batch(const Renderer& renderer) {
     return static_cast<std::uint32_t>(renderer.get_last_rendered_batch().rendered->size());
 }
@@ -103,7 +101,6 @@ RenderedBatch DifferentiableRenderer::get_last_rendered_batch() {
 void DifferentiableRenderer::record_backward_pass() {
     Renderer& renderer = impl_->renderer;
     impl_->backward.set_sh_degree(renderer.model().sh_degree);
-    // Eq. 9 of the paper
     impl_->backward.record_backward_pass(renderer.stream(), renderer.scene(), renderer.accel(),
                                          get_last_rendered_batch(), renderer.view_origin_m(),
                                          *impl_->gradients);

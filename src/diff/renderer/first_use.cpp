@@ -118,7 +118,6 @@ DeviceTestResults test_device_capabilities(const DeviceOptions& options) {
     if (trust.subgroup_size == 0) {
         n_wrong = count_wrongly_traced_rays(device);
     } else {
-        // Traces with `trust.subgroup_size`, which has passed the test above.
         const ScopedDeviceTestResults trusting_size(trust);
         Device other(options);
         n_wrong = count_wrongly_traced_rays(other);

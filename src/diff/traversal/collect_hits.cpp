@@ -1,6 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Submits the kernel diff/traversal/collect_hits, which writes all hits of each ray
-// from near to far, and downloads the hits.
 #include "diff/traversal/collect_hits.hpp"
 
 #include <fmt/format.h>

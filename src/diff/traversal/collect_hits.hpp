@@ -12,7 +12,6 @@
 
 namespace relidar {
 
-/// All hits of each ray, from near to far.
 struct CollectedHits {
     std::uint32_t max_hits = 0;
     std::vector<std::uint32_t> counts;    ///< [n_rays] number of hits, may exceed max_hits
@@ -21,7 +20,6 @@ struct CollectedHits {
     std::vector<std::uint32_t> surfel;    ///< [n_rays, max_hits] surfel of each hit
 };
 
-/// Scene, the poses of its instances, and tracing options.
 struct PosedScene {
     const Scene* scene = nullptr;
     std::vector<InstancePose> world_from_instance;

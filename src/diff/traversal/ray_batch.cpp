@@ -1,6 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Converts rays to the memory layout of the device. Computes how many threads and how
-// much memory they need.
 #include <relidar/diff/traversal.hpp>
 
 #include <algorithm>

@@ -60,7 +60,6 @@ inline shared::TraceScene make_trace_scene_params(
     return traced;
 }
 
-/// Returns the kernel variant for the traversal method of the device.
 inline KernelVariant get_traversal_kernel_variant(const Device& device) {
     if (is_brute_force_tracing_forced(device)) return KernelVariant("@brute_force");
     return KernelVariant(device.get_ray_tracing_backend() == RayTracingBackend::software ? "@software_bvh"
@@ -80,7 +79,6 @@ inline std::uint32_t get_subgroup_traversal_specialisation_value(const Device& d
     return is_cpu ? 2 : 1;
 }
 
-/// Returns the specialisation constants of the tracing kernels (shaders/diff/traversal).
 inline std::vector<SpecialisationConstant> make_trace_kernel_constants(const Device& device, ProxyShape proxy,
                                                                        const TraceOptions& options,
                                                                        const ImageFormationModel& model) {

@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Checks walking actors, whose limbs move (kernels diff/accel/proxies,
-// diff/accel/bvh_refit). When the surfels of a walking model move, its tree must be
-// refitted. All other trees must not change.
+// diff/accel/bvh_refit).
 #include <algorithm>
 #include <cmath>
 #include <cstring>

@@ -1,9 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Checks the trees over the surfels (diff/accel/bvh_bounds, bvh_keys, bvh_cluster,
 // bvh_wide_mark, bvh_wide_count, bvh_wide_scan, bvh_wide_place, bvh_wide_emit, bvh_refit,
-// bvh_cost). Reads back trees of various scenes after builds and refits and checks the
-// properties that every tree must have. Compares the surfels that rays reach in the tree
-// with a test of all surfels.
+// bvh_cost).
 #include <algorithm>
 #include <cmath>
 #include <cstring>
@@ -22,7 +20,6 @@ namespace {
 constexpr float kNaN = std::numeric_limits<float>::quiet_NaN();
 constexpr float kInf = std::numeric_limits<float>::infinity();
 
-/// Returns surfels with sizes of 2 cm to 1 m in a box of 40 x 20 x 5 m.
 Surfels make_random_surfels(std::uint32_t count, std::uint32_t seed = 1) {
     std::mt19937 random(seed);
     std::uniform_real_distribution<float> unit(0.0f, 1.0f);
@@ -39,8 +36,6 @@ Surfels make_random_surfels(std::uint32_t count, std::uint32_t seed = 1) {
     return s;
 }
 
-/// Makes a scene of several models with one instance each. The sizes of the models are
-/// passed in order.
 Scene scene_of(const Surfels& surfels, const std::vector<std::uint32_t>& sizes) {
     Scene scene = make_background_scene(surfels);
     scene.models.clear();
@@ -56,7 +51,6 @@ Scene scene_of(const Surfels& surfels, const std::vector<std::uint32_t>& sizes) 
 
 class BvhBuild : public test::DeviceTest {
 protected:
-    /// A scene on the device with its acceleration structure.
     struct Built {
         DeviceScene scene;
         Bvh bvh;

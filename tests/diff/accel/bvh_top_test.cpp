@@ -1,8 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Checks the tree over the instances (diff/accel/bvh_top) after instances were placed,
-// moved and removed. Every present instance must be in exactly one leaf. Absent instances
-// must be in no leaf. World boxes must contain their instances. Compares rays through
-// both levels with a test of all instances and surfels.
+// moved and removed.
 #include <algorithm>
 #include <cstring>
 #include <random>
@@ -40,7 +38,6 @@ std::vector<InstancePose> make_random_poses(std::size_t count, std::mt19937& ran
     return poses;
 }
 
-/// Makes instances of five models. One of the models is empty.
 Scene make_scene_of_instances(std::uint32_t n_instances, std::mt19937& random) {
     Scene scene = make_background_scene(make_some_surfels(500, random));
     scene.models = {{"a", 0, 200}, {"b", 200, 0}, {"c", 200, 1}, {"d", 201, 99}, {"e", 300, 200}};
@@ -77,8 +74,6 @@ protected:
         }
     };
 
-    /// Computes the exact bounding box of all instances below a node, and counts how
-    /// often each instance occurs.
     static void check_node(const Built& built, const HostBvhCopy& host, std::uint32_t index,
                            std::vector<int>& visits, test::HostBox& real) {
         ASSERT_LT(index, host.top_nodes.size());

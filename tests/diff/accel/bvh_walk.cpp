@@ -20,7 +20,6 @@ double decoded(float origin, std::uint32_t exponent, std::uint32_t quantised) {
     return x;
 }
 
-/// Checks the BVH of a model recursively and stops at the first error.
 struct TreeCheck {
     const HostBvhCopy& bvh;
     const SurfelModel& model;
@@ -33,7 +32,6 @@ struct TreeCheck {
         return false;
     }
 
-    /// Computes the exact bounding box of all surfels in a leaf slot.
     bool leaf(const Slot& slot, HostBox& real) {
         if (slot.count > RELIDAR_BVH_LEAF_SIZE) return fail(fmt::format("a leaf of {} surfels", slot.count));
         if (std::size_t(slot.first) + slot.count > bvh.order.size())

@@ -54,7 +54,6 @@ struct HostRay {
     glm::dvec3 origin, direction;
 };
 
-/// Returns true if a ray hits a box in front of its origin.
 bool meets(const HostRay& ray, const HostBox& box);
 
 /// Traverses the tree from `root` through every node whose decoded box the ray hits.

@@ -1,8 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Checks the triangles or boxes that bound surfels ("proxies", kernel diff/accel/proxies)
-// and the acceleration structure (M3, Fig. 3). A proxy must contain all points where the
-// surfel's opacity is at least alpha_min, so that rays at the rim hit. A refit must
-// follow moved surfels. Moving an instance must not build a bottom-level structure.
+// and the acceleration structure (M3, Fig. 3).
 #include <algorithm>
 #include <bit>
 #include <cmath>
@@ -19,7 +17,6 @@ namespace {
 
 class Proxies : public test::DeviceTest {};
 
-/// Returns a surfel of 0.5 m by 0.25 m at x = 10 that faces the sensor.
 Surfels make_one_surfel(float opacity) {
     Surfels s;
     s.resize(1);

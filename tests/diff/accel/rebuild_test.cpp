@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Checks when an acceleration structure is rebuilt. It is rebuilt at the first use, on
-// request, and after a number of refits (updates of its boxes). The software tree is also
-// rebuilt when its cost has grown since the build.
+// request, and after a number of refits (updates of its boxes).
 #include <relidar/diff/accel.hpp>
 #include <relidar/scene/device_scene.hpp>
 

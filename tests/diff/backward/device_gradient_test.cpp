@@ -1,9 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Compares the gradients of the device (kernels diff/backward/trace and
 // scene/activate_vjp) with the backward pass of the double reference (Eq. 9; M7, M8).
-// Covers every parameter of every surfel and the rays, with SH evaluated along the ray
-// and along the surfel. Additional central differences on the device test the complete
-// chain. reference_gradient_test.cpp tests the reference itself.
 #include <cmath>
 #include <span>
 
@@ -21,7 +18,6 @@ using test::make_random_upstream;
 using test::Outputs;
 using test::Passes;
 
-/// Combination of a method to find hits and a method to sum their gradients.
 struct Way {
     const char* name;
     BackwardOptions options;
@@ -53,7 +49,6 @@ constexpr std::size_t kFewMethods = 3;
 
 constexpr std::optional<RangeLikelihoodKernel> kKernel = RangeLikelihoodKernel{0.3f};
 
-/// Rendering options of a comparison, the outputs with gradients, and the tolerance.
 struct How {
     ProxyShape proxy = ProxyShape::boxes;
     /// If true, the software traversal tests all methods instead of the first

@@ -1,9 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Checks the kernels that sum gradients per surfel (diff/backward/gather and
-// gather_heads). Covers surfels with thousands of hits and rays without a gradient.
-// Gradients must be equal bit for bit in every run, for all methods that find hits and
-// all buffer sizes. device_gradient_test.cpp compares the values with the double
-// reference.
+// gather_heads).
 #include <algorithm>
 #include <cmath>
 
@@ -36,7 +33,6 @@ std::vector<float> collect_all_gradients(const DeviceGradients& gradients) {
 
 class Gather : public test::DeviceTest {
 protected:
-    /// Makes many rays through few surfels, so that rows extend over many blocks.
     test::RandomScene make_crowded_scene(const reference::Settings& settings) {
         test::RandomSceneOptions options;
         options.seed = 51;

@@ -1,8 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests the likelihood of measured ranges (M12) from end to end. Compares the forward
-// pass, the losses and the backward pass on the device with central differences of the
-// double forward pass. Covers all parameters that affect the likelihood, the rays, and
-// the poses of instances and of the sensor. Runs without and with the image losses.
+// Tests the likelihood of measured ranges (M12) from end to end.
 #include <algorithm>
 #include <cmath>
 #include <numeric>
@@ -70,8 +67,6 @@ test::RandomScene make_wall(std::uint64_t seed) {
     return scene;
 }
 
-/// Returns a wall for which every ray has a minimum distance (margin) to discontinuities
-/// of the image.
 test::RandomScene make_smooth_wall(const reference::Settings& settings) {
     // The minimum distances to discontinuities are smaller than in other tests, so that a
     // seed with 42 valid rays exists. They are still much larger than the steps of the
@@ -89,7 +84,6 @@ test::RandomScene make_smooth_wall(const reference::Settings& settings) {
     throw std::runtime_error("smooth_wall: no seed keeps the margins");
 }
 
-/// Computes the losses of a wall in double. Contains the data that the losses depend on.
 struct WallProblem {
     reference::Settings settings;
     test::RandomScene scene = make_smooth_wall(settings);
@@ -135,7 +129,6 @@ RendererOptions make_options(const LossWeights& weights, std::uint32_t keep_hits
     return options;
 }
 
-/// The same problem on the device.
 struct DevicePasses : test::Passes {
     std::vector<std::unique_ptr<Loss>> losses;
     Array<float> loss_terms;
@@ -356,7 +349,6 @@ TEST_F(LikelihoodGradient, TwoSurfelsInClosedForm) {
         passes.run();
         const double scale = double(0.1f), d = (t[0] - t[1]) / scale, k = 1.0 / (1.0 + d * d), w0 = 0.6,
                      w1 = 0.4 * 0.5;
-        // rounding error of a range in float
         const double slope = -2.0 * d / scale * k * k, resolved = 1.2e-7 * start;
         EXPECT_NEAR(passes.renderer.get_last_rendered_batch().rendered->download()[0].likelihood, w0 * k + w1,
                     1e-6 + w0 * slope * resolved);

@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Tests a scene with a thousand copies of an actor: a thousand instances of one model,
-// and a thousand models. Compares image and gradients with the double reference and
-// trains for twenty steps. The number of launches must be the same as for two copies.
+// and a thousand models.
 #include <numeric>
 #include <random>
 
@@ -58,7 +57,6 @@ void add_rays(test::RandomScene& scene, std::size_t count, const reference::Sett
     }
 }
 
-/// Returns the normalised mean squared error over all rows of a group.
 double compute_normalised_error(const test::GradientGroup& group) {
     double difference = 0.0, size = 0.0;
     for (std::size_t i = 0; i < group.expected.size(); ++i)

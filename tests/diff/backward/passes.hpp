@@ -37,7 +37,6 @@ inline RendererOptions add_hit_room(RendererOptions options, std::size_t n_rays)
     return options;
 }
 
-/// A scene with rays that can be rendered and differentiated.
 struct Passes {
     SceneAndPoses placed;
     DifferentiableRenderer differentiable;

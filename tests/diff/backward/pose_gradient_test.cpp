@@ -1,9 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Checks the gradients of instance poses and of the sensor's pose
-// (diff/backward/pose_blocks, poses and sensor_pose). Compares them with the double
-// reference, which sums per hit instead of per surfel, and with central differences of
-// the double forward pass. Covers overlapping instances, a model that is placed twice,
-// and instances that are absent or not hit.
+// (diff/backward/pose_blocks, poses and sensor_pose).
 #include <glm/gtc/quaternion.hpp>
 
 #include <random>
@@ -21,7 +18,6 @@ using test::GradientTable;
 using test::lanes;
 using test::Passes;
 
-/// A random scene with upstream gradients. Computes its loss in double.
 struct PoseProblem {
     reference::Settings settings;
     test::RandomScene scene;
@@ -194,7 +190,6 @@ TEST_F(PoseGradient, MoreSurfelsThanThreadsOfAWorkgroup) {
     expect_agreement(ShDirection::ray, options, "poses, transparent, 90 surfels an actor");
 }
 
-/// Makes a street of `n_background` surfels and an actor of `n_actor` surfels.
 Scene make_background_and_actor(std::uint32_t n_background, std::uint32_t n_actor) {
     Scene layout = make_background_scene(make_benchmark_street_surfels(n_background + n_actor));
     layout.models = {{"background", 0, n_background}, {"actor", n_background, n_actor}};

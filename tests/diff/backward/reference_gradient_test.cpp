@@ -1,9 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Compares the backward pass of the double reference (M7, M8) with central differences of
-// its forward pass (M1-M5). Covers every parameter group, the ray, the view origin and
-// instance poses. SH are evaluated along the ray and along the surfel, and rays have more
-// hits than a chunk (the hits fetched together). Also checks the radial part of the
-// rotation, chunking and clamps.
+// its forward pass (M1-M5).
 #include <gtest/gtest.h>
 
 #include "base/parallel.hpp"
@@ -17,7 +14,6 @@ namespace {
 
 using test::GradientTable;
 
-/// A scene with random upstream gradients and the loss sum_r g_r . pixel_r.
 struct Problem {
     test::RandomScene scene;
     Settings settings;
@@ -84,7 +80,6 @@ Problem select_one_surfel(Problem problem, std::size_t surfel) {
     return problem;
 }
 
-/// Returns the gradient rows of all parameters of a surfel.
 std::vector<Row> make_surfel_rows(const Problem& all, const Gradients& gradients, std::size_t index) {
     Problem p = select_one_surfel(all, index);
     std::vector<Row> rows;

@@ -1,8 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Compares a complete densification (diff/densify/classify, allot, move, spawn) with the
-// reference in double. Checks which surfels survive, which are cloned or split, and their
-// order. Also checks parameters, Adam moments, statistics, models, and the limits of the
-// parameter range.
+// reference in double.
 #include <algorithm>
 #include <cmath>
 #include <cstring>
@@ -25,8 +23,6 @@ constexpr float kAlphaMin = 1.0f / 255.0f;
 constexpr std::uint64_t kSeed = 42;
 constexpr std::uint32_t kFrames = 40;
 
-/// Test scene in which the optimizer's moments (Adam) and the densification statistics
-/// differ for every surfel.
 struct Case {
     Scene scene;
     DeviceScene device_scene;
@@ -107,7 +103,6 @@ std::vector<Fate> compute_expected_fates(const Case& test_case, int step) {
 
 bool is_kept(Fate fate) { return fate >= Fate::keep; }
 
-/// Origin of a row after densification.
 struct Row {
     std::uint32_t source;
     Fate fate;     // Decision for the source surfel. The value is `keep` if the surfel was not copied.

@@ -77,7 +77,6 @@ TEST_F(DensifyKernels, AllotHandsOutAsTheReferenceDoes) {
     expect_allotted(device(), 10'000'000);
 }
 
-/// A densifier with a scene and an optimizer that has trained for some steps.
 struct Trained {
     Scene scene;
     DeviceScene device_scene;

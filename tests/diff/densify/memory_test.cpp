@@ -14,7 +14,6 @@ namespace {
 
 class DensifyMemory : public test::DeviceTest {};
 
-/// A scene in which every surfel grows at every densification.
 struct Growing {
     Device& device;
     Scene scene;

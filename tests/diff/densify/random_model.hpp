@@ -16,14 +16,11 @@ namespace relidar::test {
 /// @param counts number of surfels of each model
 Scene make_random_model_scene(const std::vector<std::uint32_t>& counts, std::uint64_t seed);
 
-/// Makes every 20th surfel non-finite, each in a different parameter.
 void fill_with_nan(Surfels& surfels);
 
-/// Converts surfel `index` to the type of the reference.
 reference::DensifiedSurfel densify_surfel(const Surfels& surfels, std::size_t index);
 
-/// Returns the index that make_random_model_scene() stored in the SH coefficients of
-/// surfel `index`.
+/// Index that make_random_model_scene() stored in the SH coefficients.
 std::uint32_t get_tag(const Surfels& surfels, std::size_t index);
 
 }  // namespace relidar::test

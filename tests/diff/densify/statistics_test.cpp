@@ -15,7 +15,6 @@ namespace {
 
 class Statistics : public test::DeviceTest {};
 
-/// A densifier and the gradients that it observes.
 struct Observed {
     Device& device;
     DeviceScene scene;

@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Compares the original scene with a scene whose actors are baked into the background by
-// transform_all_surfels_to_world(). Both must render the same image. The actors are
-// turned, walking or absent.
+// transform_all_surfels_to_world().
 #include <algorithm>
 #include <cmath>
 #include <random>

@@ -1,9 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Compares two methods of the forward pass: hit lists (diff/forward/append, sort_hits,
-// blend) and chunks (diff/forward/trace). Runs them with every traversal. Uses the
-// conformance cases of traversal: empty, long and full lists, equal depths, and hits that
-// are reported twice. render_test.cpp, on_demand_test.cpp and tests/diff/backward compare
-// both methods with the double reference.
+// blend) and chunks (diff/forward/trace).
 #include <algorithm>
 #include <cmath>
 #include <cstring>
@@ -24,7 +21,6 @@ using test::TraversalCase;
 
 constexpr std::uint32_t kUntouched = 0xabababab;
 
-/// A hit provider.
 struct Provider {
     const char* name;
     ProxyShape proxy = ProxyShape::automatic;
@@ -43,7 +39,6 @@ std::vector<Provider> list_providers(const Device& device) {
             brute};
 }
 
-/// A test case on the device that is ready for tracing.
 struct Placed {
     test::SceneAndPoses placed;
     ImageFormationModel model;
@@ -76,7 +71,6 @@ struct Placed {
         return rendered.download();
     }
 
-    /// Renders with lists only, without diff/forward/trace for the remaining rays.
     std::vector<shared::RenderedRay> render_lists(int capacity) {
         Device& device = stream.device();
         const Array<shared::RenderedRay> rendered(device, rays.size(), "rendered rays");

@@ -1,8 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Compares optional outputs of the forward pass with the double reference: blended
 // normals, the likelihood of the measured range (M12), and the surface with the largest
-// weight (M13). Uses random scenes with instances, several chunk sizes, hit lists, and
-// rays with many hits. The optional outputs must not change any bit of the image.
+// weight (M13).
 #include <algorithm>
 #include <utility>
 
@@ -26,7 +25,6 @@ protected:
         std::vector<float> likelihood;  ///< [n]
         std::vector<float> surfaces;    ///< [n,4] normal and mode, or empty
     };
-    /// Renders the rays of a scene.
     Found trace(const test::RandomScene& random, const ImageFormationModel& model,
                 const TraceOptions& options) {
         const test::SceneAndPoses placed =

@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Compares the forward pass (Eq. 2-4; M4, M5), with chunks and with lists, with the
-// double reference on random scenes. Also compares the benchmark street with an image
-// that a different implementation rendered.
+// double reference on random scenes.
 #include <algorithm>
 #include <cmath>
 #include <cstdlib>
@@ -22,7 +21,6 @@ namespace {
 
 class Forward : public test::DeviceTest {};
 
-/// Renders a scene once, with all instances and the sensor at the origin.
 RenderedRayValues render_once(Device& device, const Scene& scene, const ImageFormationModel& model,
                               const WorldRays& rays, const RendererOptions& options = {}) {
     Renderer renderer(device, scene, model, options);
@@ -30,7 +28,6 @@ RenderedRayValues render_once(Device& device, const Scene& scene, const ImageFor
     return renderer.render_rays(rays);
 }
 
-/// Returns the normalised mean squared error of an output over the rays.
 double compute_normalised_error(const std::vector<float>& actual, const std::vector<double>& expected) {
     double error = 0.0, power = 0.0;
     for (std::size_t i = 0; i < expected.size(); ++i) {

@@ -30,7 +30,6 @@ Scene wall(float shift) {
     return make_background_scene(s);
 }
 
-/// Makes rays whose measured ranges all lie on the wall at kWall_m.
 void measure_wall(std::uint32_t side, std::vector<DeviceRay>& rays, std::vector<DeviceTarget>& targets) {
     for (std::uint32_t i = 0; i < side * side; ++i) {
         const glm::vec3 d = glm::normalize(glm::vec3(1.0f, 0.6f * (float(i % side) / float(side - 1) - 0.5f),

@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Checks the Chamfer loss (diff/loss/chamfer_points, chamfer_boxes, chamfer_nearest,
-// chamfer and chamfer_vjp). Compares nearest neighbours with brute force on various
-// clouds. Compares values and derivatives with the double reference.
+// chamfer and chamfer_vjp).
 #include <cmath>
 #include <functional>
 #include <limits>
@@ -25,7 +24,6 @@ class Chamfer : public test::DeviceTest {};
 
 constexpr float kInfinity = std::numeric_limits<float>::infinity();
 
-/// Simulated and measured points of a scan, ray by ray. A range of 0 means no return.
 struct Clouds {
     ImageShape image;
     std::vector<DeviceRay> rays;
@@ -41,7 +39,6 @@ Clouds make_lattice_scan(std::uint32_t rows, std::uint32_t columns, float missin
     Clouds c{{rows, columns, true}, {}, {}, {}};
     const auto on = [](float value, float steps) { return std::round(value * steps) / steps; };
     for (std::uint32_t i = 0; i < rows * columns; ++i) {
-        // unevenly spaced rows
         const float azimuth = 6.2831853f * float(i % columns) / float(columns),
                     elevation = -0.4f * std::pow(float(i / columns) / float(rows), 1.7f);
         c.rays.push_back({{on(float(i % columns) / float(columns), 1024), 0, 0},

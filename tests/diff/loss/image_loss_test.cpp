@@ -72,7 +72,6 @@ TEST_F(ImageLossTest, AgreesWithReference) {
             Stream stream(device());
             const Array<shared::RenderedRay> rendered(device(), d.rendered, "rendered");
             const Array<DeviceTarget> targets(device(), std::span<const DeviceTarget>(d.targets), "targets");
-            // detects writes beyond the end
             Array<shared::RayGradient> upstream(device(), n + 1, "upstream");
             const Array<float> sums(device(), std::vector<float>(kLossTerms, 0.0f), "terms");
             stream.fill(upstream, 0x7fc00000u);
@@ -88,10 +87,8 @@ TEST_F(ImageLossTest, AgreesWithReference) {
                         1e-4 * weights.intensity * terms.intensity);
             EXPECT_NEAR(s[loss_term::drop], weights.drop * terms.drop, 1e-4 * weights.drop * terms.drop);
             for (std::size_t i = 0; i < n; ++i) {
-                const double row[] = {expected[i].depth, expected[i].weight, expected[i].intensity,
-                                      expected[i].hit_logit,
-                                      // the likelihood belongs to a separate loss
-                                      expected[i].drop_logit, 0.0};
+                const double row[] = {expected[i].depth,     expected[i].weight,     expected[i].intensity,
+                                      expected[i].hit_logit, expected[i].drop_logit, 0.0};
                 for (std::size_t k = 0; k < kFloats; ++k)
                     EXPECT_NEAR(g[kFloats * i + k], row[k], 1e-6 * (std::abs(row[k]) + 1.0 / double(n)))
                         << "ray " << i << " lane " << k;
@@ -121,7 +118,6 @@ TEST_F(ImageLossTest, MaskedRaysAreIgnoredAndStrideSelects) {
     EXPECT_GT(sums.download()[loss_term::drop], 0.0f);
 }
 
-/// Returns the name of the type of a loss.
 const char* get_loss_type_name(const Loss& loss) {
     if (dynamic_cast<const ImageLoss*>(&loss)) return "image";
     if (dynamic_cast<const LikelihoodLoss*>(&loss)) return "likelihood";
@@ -130,8 +126,6 @@ const char* get_loss_type_name(const Loss& loss) {
     return "another";
 }
 
-/// Returns the names of the losses that are created for the weights, derived from their
-/// types.
 std::vector<std::string> list_made_kernels(Device& device, const LossWeights& weights) {
     std::vector<std::string> names;
     for (const std::unique_ptr<Loss>& loss : make_losses(device, weights, 64))

@@ -1,7 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
 // Compares value and derivative of diff/loss/likelihood_loss with the double reference.
-// Covers dropped and unknown rays and strided targets. The loss must add to existing
-// gradients.
 #include <random>
 
 #include <relidar/diff/forward.hpp>

@@ -1,8 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Compares values and derivatives of diff/loss/ssim and diff/loss/ssim_vjp with the
-// double reference. Covers images with unknown and dropped pixels, full sweeps and
-// windows, images smaller than the window, and strided targets. Values at dropped pixels
-// must not affect the result.
+// double reference.
 #include <random>
 
 #include <relidar/diff/forward.hpp>

@@ -1,8 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Compares diff/loss/surfel_loss, the penalty for surfels outside their box, with the
-// double reference. The scene has a background without a box and two actors. Gradients
-// must be added only to rows of surfels that already have a gradient. Training must move
-// surfels back into their box.
+// double reference.
 #include <cmath>
 #include <random>
 
@@ -40,7 +38,6 @@ Scene random_scene() {
     return scene;
 }
 
-/// Tests all surfels, and then only those 3D Gaussians that already have a gradient.
 TEST_F(SurfelLossTest, AgreesWithReference) {
     Scene scene = random_scene();
     LossWeights weights;

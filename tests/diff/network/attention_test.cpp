@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Compares diff/network/matmul and diff/network/softmax, used by attention, with the
-// double reference: values, weights and derivatives. Covers several heads, batches,
-// slices, fewer pixels than a subgroup has lanes, and large scores.
+// double reference: values, weights and derivatives.
 #include "diff/network/attention.hpp"
 
 #include "../../support/device.hpp"

@@ -1,8 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Compares the convolution kernels diff/network/conv, conv_weights and sum_parts with the
-// double reference. Covers values and both derivatives, slices, batches, and images
-// smaller than a subgroup. Columns form a ring in circular images. Weights are in shared
-// memory (as on a GPU) or in registers (as on a CPU).
+// double reference.
 #include "diff/network/conv.hpp"
 
 #include "../../support/device.hpp"

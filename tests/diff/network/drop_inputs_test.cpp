@@ -1,8 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Compares the inputs of the ray-drop network (diff/network/drop_inputs) with plain
-// loops. Training turns each image by a number of columns: channels of the scene are
-// shifted, channels of the sensor are not. The start value of the output is the rendered
-// logit.
+// loops.
 #include "../../support/device.hpp"
 #include "diff/shared/refine.h"
 #include "gpu/stream.hpp"
@@ -23,7 +21,6 @@ const std::vector<std::uint32_t> kChosen{2, 0, 2, 1};
 std::vector<double> scale() { return {1.0, 2.0, 0.5, -1.0, 4.0}; }
 std::vector<double> shift() { return {0.0, 1.0, -3.0, 0.25, 2.0}; }
 
-/// Shifts the columns of each sample by `turn`.
 Batch turned(const test::ImageBatch& samples, const std::vector<double>& targets,
              const std::vector<std::uint32_t>& turn, int n_fixed) {
     const refine::ImageBatchSize grid = test::get_grid(samples);

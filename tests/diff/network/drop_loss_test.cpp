@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Compares diff/network/drop_loss with the double reference: mean, accuracy,
-// probabilities and derivatives. Covers extreme logits, unknown pixels, a start value
-// added to the logits, and optional outputs.
+// probabilities and derivatives.
 #include "diff/network/drop_loss.hpp"
 
 #include <algorithm>
@@ -130,7 +129,6 @@ TEST_F(DropLossTest, NothingKnown) {
         EXPECT_EQ(loss.read_loss_and_accuracy(0).entropy, 0.0);
         EXPECT_EQ(loss.read_loss_and_accuracy(0).accuracy, 0.0);
     }
-    // no derivative requested: only probabilities
     loss.compute_drop_loss(
         stream, n,
         {.logit = logit.address_as<float, shared::DropLogits>(), .probability = probability.address()}, 0);

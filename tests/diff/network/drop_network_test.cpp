@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Trains and evaluates the ray-drop network. The network must learn a rule that depends
-// on neighbouring pixels. It must give the same result twice, and have no effect before
-// training. It must accept different image sizes and reject unsuitable inputs.
+// on neighbouring pixels.
 #include <cmath>
 #include <limits>
 #include <random>
@@ -167,7 +166,6 @@ TEST_F(DropNetworkTest, StopsWhereProgressSaysSo) {
     EXPECT_FALSE(network.empty());
 }
 
-/// Trains until `step` and returns the training state after this step.
 RayDropTrainState train_for_steps(Device& device, const std::vector<RayDropImage>& images,
                                   const RayDropNetworkOptions& options, int step,
                                   const RayDropTrainState* start = nullptr) {

@@ -19,7 +19,6 @@ namespace relidar::test {
 
 using reference::ImageBatch;
 
-/// Returns normally distributed numbers, rounded to float, times `scale` plus `offset`.
 inline std::vector<double> make_random_floats(std::size_t count, std::uint64_t seed, double scale = 1.0,
                                               double offset = 0.0) {
     std::mt19937_64 random(seed);
@@ -67,7 +66,6 @@ inline void upload(const refine::Tensor& tensor, const std::vector<double>& valu
     upload(tensor, std::vector<float>(values.begin(), values.end()));
 }
 
-/// Images as channels [before, before + n) of a tensor.
 class OnDevice {
 public:
     /// @param before,after number of channels before and after the images
@@ -81,7 +79,6 @@ public:
         });
         upload(tensor_, values);
     }
-    /// Makes an output tensor filled with NaN.
     static OnDevice make_unwritten(Device& device, const refine::ImageBatchSize& grid, int channels,
                                    std::uint32_t before = 1, std::uint32_t after = 2) {
         ImageBatch images(int(grid.n), channels, int(grid.rows), int(grid.columns), grid.circular);
@@ -92,7 +89,6 @@ public:
     refine::ChannelSlice slice() const {
         return tensor_.get_all_channels().get_channel_range(before_, std::uint32_t(shape_.channels));
     }
-    /// Downloads the images. Fails the test if a neighbouring channel has changed.
     ImageBatch read() const {
         std::vector<float> values = tensor_.values.download();
         ImageBatch images = shape_;

@@ -31,7 +31,6 @@ INSTANTIATE_TEST_SUITE_P(Refine, NormSizes,
                                          NormCase{{1, 7, 9}, 1}, NormCase{{4, 1, 3}, 9},
                                          NormCase{{1, 2, 1}, 3}, NormCase{{4, 33, 65}, 9}));
 
-/// A layer and its parameters on the device.
 struct OnePass {
     NormalisationKernels norm;
     NormActivations state;

@@ -1,8 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Compares the layers of the ray-drop network with oneDNN, which does not support a ring
-// of columns. The test therefore pads both sides of a circular image with columns of the
-// opposite side. It crops the results, and adds the gradients of the padding to the
-// original columns.
+// of columns.
 #include <onednn_primitive.hpp>
 
 #include "../../support/device.hpp"
@@ -50,7 +48,6 @@ protected:
     }
 };
 
-/// Pads images on both sides with `margin` columns of the opposite side.
 ImageBatch pad_images(const ImageBatch& images, int margin) {
     ImageBatch result(images.n, images.channels, images.rows, images.columns + 2 * margin);
     for (int image = 0; image < images.n; ++image)

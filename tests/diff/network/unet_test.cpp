@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Compares the complete network with the same network built from the layers of the double
-// reference. Compares the logits in training and evaluation. Compares the gradients with
-// central differences of the reference for a few parameters of every group.
+// reference.
 #include <algorithm>
 #include <cmath>
 #include <numeric>

@@ -37,7 +37,6 @@ Surfels make_random_surfels(std::uint32_t count, std::uint64_t seed, SurfelParam
     return s;
 }
 
-/// State of Adam for a single number.
 struct Scalar {
     double value, m = 0.0, v = 0.0, ceiling = std::numeric_limits<double>::infinity();
     void step(double g, double rate, int t) {
@@ -119,7 +118,6 @@ const LearningRates kRates{.mean = 1e-3,
                            .gait = 7e-4,
                            .intensity_factor = 0.4};
 
-/// Returns upper bounds of scales. A third of the initial scales exceed their bound.
 std::vector<float> make_some_bounds(std::uint32_t count) {
     std::vector<float> bounds(count);
     for (std::uint32_t i = 0; i < count; ++i) bounds[i] = 0.4f + 0.2f * float(i) / float(count);

@@ -46,7 +46,6 @@ RenderedGradients to_arrays(const std::vector<reference::PixelGradient>& d) {
     return result;
 }
 
-/// Computes the gradients of a scene's rays with the reference.
 reference::Gradients compute_expected_gradients(const test::RandomScene& scene, reference::Settings settings,
                                                 const std::vector<reference::PixelGradient>& d_rendered,
                                                 std::vector<reference::RayGradient>& d_rays) {

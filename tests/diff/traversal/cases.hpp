@@ -25,7 +25,6 @@ struct TraversalCase {
     bool grazing = false;
 };
 
-/// Converts the surfels and placements of the case for the reference.
 reference::World to_world(const TraversalCase& test_case);
 
 TraversalCase make_empty_case();
@@ -44,7 +43,6 @@ TraversalCase make_tied_list_case(int count);
 /// Makes rays through the diagonals, edges and corners of the rectangles that bound
 /// surfels. Further rays pass 1 % inside and outside the visible rim (alpha = alpha_min).
 TraversalCase make_outline_case(std::uint64_t seed, int n_rays);
-/// |n . d| between 1e-3 and 1e-2.
 TraversalCase make_grazing_case(std::uint64_t seed, int n_rays);
 /// Makes a scene with surfels that must never be hit (not finite, zero or overflowing
 /// scale, zero quaternion, opacity at most alpha_min) among valid surfels.

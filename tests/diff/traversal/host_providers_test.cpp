@@ -1,8 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Tests the methods to find hits on the host. Embree with bounding triangles (M3) must
 // return the same ordered ids as a test of all surfels in float, for 1 to 32 hits at a
-// time. Float and double intersections may differ only on boundaries. find_next_hits must
-// fulfil its contract; otherwise list_all_hits throws.
+// time.
 #include <gtest/gtest.h>
 
 #include <cstdio>
@@ -22,7 +21,6 @@ using test::TraversalCase;
 constexpr std::uint64_t kSeed = 20261121;
 constexpr int kAll = 1 << 30;
 
-/// Compares every ray of a case with chunk sizes 1, 2, ... 32 in turn.
 HitDifferences compare(const TraversalCase& test_case, const HitProvider& expected, const HitProvider& actual,
                        const ImageFormationModel& model = {}) {
     const World world = to_world(test_case);

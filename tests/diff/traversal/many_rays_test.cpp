@@ -1,9 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Traces many random rays through instances, surfels at equal distance, and surfels that
-// must never be hit. Traces them after a build, after refits (updates of the boxes) and
-// after a rebuild. All methods of the device must return the same hits as a test of all
-// surfels on the device and as the host. Uses 10^4 rays per state;
-// RELIDAR_MANY_RAYS=1000000 uses more.
+// must never be hit.
 #include <cstdio>
 #include <cstdlib>
 #include <limits>
