@@ -14,6 +14,7 @@
 #include <relidar/run/run.hpp>
 #include <relidar/run/stage_options.hpp>
 #include <relidar/simulate/render.hpp>
+#include "base/fail.hpp"
 #include "scene/benchmark_street.hpp"
 
 #include "console.hpp"
@@ -46,12 +47,11 @@ std::optional<ImageSize> parse_ray_grid_size(const std::string& text) {
     ImageSize size;
     if (words.size() != 2 || !try_parse_positive_integer(words[0], size.rows) ||
         !try_parse_positive_integer(words[1], size.columns)) {
-        throw UsageError(fmt::format(
-            "--rays: found \"{}\", expected waymo, kitti or ROWSxCOLUMNS, for example 64x1024", text));
+        fail<UsageError>("--rays: found \"{}\", expected waymo, kitti or ROWSxCOLUMNS, for example 64x1024",
+                         text);
     }
     if (size.rows > kMaxRows || size.columns > kMaxRays / size.rows) {
-        throw UsageError(
-            fmt::format("--rays: found {}, expected at most {} rows and {} rays", text, kMaxRows, kMaxRays));
+        fail<UsageError>("--rays: found {}, expected at most {} rows and {} rays", text, kMaxRows, kMaxRays);
     }
     return size;
 }
@@ -65,33 +65,23 @@ void set_config_from_bench_options(const BenchCaseOptions& bench_choice, Config&
     if (!bench_choice.sh.empty()) set_config_value(config, "image.sh_direction", bench_choice.sh);
 }
 
-std::size_t find_index_of_option_value(const char* option_name, const std::string& option_value,
-                                       const std::vector<std::string>& allowed_values) {
-    const auto match = std::find(allowed_values.begin(), allowed_values.end(), option_value);
-    if (match == allowed_values.end())
-        throw UsageError(fmt::format("{}: found \"{}\", expected one of {}", option_name, option_value,
-                                     fmt::join(allowed_values, ", ")));
-    return std::size_t(match - allowed_values.begin());
+/// Converts a word of the command line to a value of an enumeration. `words` are in the
+/// order of the enumeration. An empty word means `automatic`, the first value.
+template <class Enum>
+Enum parse_word(const char* option, const std::string& word, const std::vector<std::string>& words) {
+    const auto match = word.empty() ? words.begin() : std::find(words.begin(), words.end(), word);
+    if (match == words.end())
+        fail<UsageError>("{}: found \"{}\", expected one of {}", option, word, fmt::join(words, ", "));
+    return Enum(match - words.begin());
 }
 
-/// These functions convert words of the command line to values of an enumeration. The
-/// words are listed in the order of the enumeration.
-/// @throws UsageError if a word is unknown
-ProxyShape parse_proxy_shape(const BenchCaseOptions& bench_choice) {
-    return bench_choice.proxy.empty() ? ProxyShape::automatic
-                                      : ProxyShape(find_index_of_option_value(
-                                            "--proxy", bench_choice.proxy, {"auto", "triangles", "boxes"}));
-}
-BvhTraversalMode parse_traversal_mode(const BenchCaseOptions& bench_choice) {
-    return bench_choice.traversal_mode.empty()
-               ? BvhTraversalMode::automatic
-               : BvhTraversalMode(find_index_of_option_value("--walk", bench_choice.traversal_mode,
-                                                             {"auto", "lane", "subgroup"}));
-}
-HitSortMethod parse_hit_sort_method(const BenchCaseOptions& bench_choice) {
-    return bench_choice.order.empty() ? HitSortMethod::automatic
-                                      : HitSortMethod(find_index_of_option_value(
-                                            "--order", bench_choice.order, {"auto", "chunks", "lists"}));
+void apply_tracing_options(const BenchCaseOptions& choice, DevCase& bench) {
+    set_config_from_bench_options(choice, bench.config);
+    bench.proxy = parse_word<ProxyShape>("--proxy", choice.proxy, {"auto", "triangles", "boxes"});
+    bench.traversal_mode =
+        parse_word<BvhTraversalMode>("--walk", choice.traversal_mode, {"auto", "lane", "subgroup"});
+    bench.order = parse_word<HitSortMethod>("--order", choice.order, {"auto", "chunks", "lists"});
+    bench.keeps_more_hits = choice.keep_hits.empty();
 }
 
 DevCase make_benchmark_of_synthetic_street(const BenchCaseOptions& bench_choice) {
@@ -111,26 +101,19 @@ DevCase make_benchmark_of_synthetic_street(const BenchCaseOptions& bench_choice)
 
 void require_valid_bench_options(const BenchCaseOptions& bench_choice) {
     if (bench_choice.street != "A" && bench_choice.street != "B" && bench_choice.street != "C")
-        throw UsageError(fmt::format("--scene: found \"{}\", expected A, B or C", bench_choice.street));
+        fail<UsageError>("--scene: found \"{}\", expected A, B or C", bench_choice.street);
     if (bench_choice.n_surfels < 1 || bench_choice.n_surfels > kMaxSurfels)
-        throw UsageError(fmt::format("--surfels: found {}, expected a number from 1 to {}",
-                                     bench_choice.n_surfels, kMaxSurfels));
+        fail<UsageError>("--surfels: found {}, expected a number from 1 to {}", bench_choice.n_surfels,
+                         kMaxSurfels);
     parse_ray_grid_size(bench_choice.rays);
-    Config unused;
-    set_config_from_bench_options(bench_choice, unused);
-    parse_proxy_shape(bench_choice);
-    parse_traversal_mode(bench_choice);
-    parse_hit_sort_method(bench_choice);
+    DevCase unused;
+    apply_tracing_options(bench_choice, unused);
 }
 
 DevCase make_benchmark_from_options(const BenchCaseOptions& bench_choice) {
     DevCase bench = bench_choice.run.empty() ? make_benchmark_of_synthetic_street(bench_choice)
                                              : DevCase{make_benchmark_from_run(load_run(bench_choice.run))};
-    set_config_from_bench_options(bench_choice, bench.config);
-    bench.proxy = parse_proxy_shape(bench_choice);
-    bench.traversal_mode = parse_traversal_mode(bench_choice);
-    bench.order = parse_hit_sort_method(bench_choice);
-    bench.keeps_more_hits = bench_choice.keep_hits.empty();
+    apply_tracing_options(bench_choice, bench);
     return bench;
 }
 

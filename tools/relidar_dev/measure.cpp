@@ -18,6 +18,7 @@
 #include <relidar/diff/loss.hpp>
 #include <relidar/diff/optimizer.hpp>
 #include <relidar/run/stage_options.hpp>
+#include "base/fail.hpp"
 #include "bench/training_step.hpp"
 #include "console.hpp"
 #include "dev_case.hpp"
@@ -240,10 +241,10 @@ std::vector<KernelBenchTime> compute_percentile_rows_of_kernels(
 BenchResult BenchRunner::make_bench_result() {
     Renderer& r = get_renderer();
     if (const std::uint32_t capped = r.forward_pass().get_truncated_ray_count_on_device().download()[0])
-        throw DeviceError(
-            fmt::format("cannot trace {} rays: {} of them reached the maximum number of passes or filled the "
-                        "traversal stack, expected none",
-                        rays_.size(), capped));
+        fail<DeviceError>(
+            "cannot trace {} rays: {} of them reached the maximum number of passes or filled the "
+            "traversal stack, expected none",
+            rays_.size(), capped);
     // Adds the kernels that do not run in an iteration, such as the build of the
     // acceleration structure.
     kernels_.merge(rebuild_kernels_);

@@ -13,6 +13,7 @@
 #include <relidar/log/sensor_files.hpp>
 #include <relidar/run/run.hpp>
 #include <relidar/simulate/render.hpp>
+#include "base/fail.hpp"
 #include "interrupt.hpp"
 #include "measure.hpp"
 
@@ -80,11 +81,11 @@ double get_thread_cpu_time_ms() {
 ScanBenchTimes measure_scan_times(Device& device, const ScanBenchOptions& bench_options) {
     using Send = ScanRenderer::SubmissionTiming;
     if (bench_options.n_scans < 1 || bench_options.n_scans > kMostInOneGo)
-        throw UsageError(fmt::format("--scans: found {}, expected a number from 1 to {}",
-                                     bench_options.n_scans, kMostInOneGo));
+        fail<UsageError>("--scans: found {}, expected a number from 1 to {}", bench_options.n_scans,
+                         kMostInOneGo);
     if (bench_options.together < 0 || bench_options.together > kMostTogether)
-        throw UsageError(fmt::format("--together: found {}, expected a number from 1 to {}",
-                                     bench_options.together, kMostTogether));
+        fail<UsageError>("--together: found {}, expected a number from 1 to {}", bench_options.together,
+                         kMostTogether);
     const TrainedRun run = load_run(bench_options.run);
     ScanRenderer renderer(device, run);
     const LogPathRequests drive(run, bench_options);

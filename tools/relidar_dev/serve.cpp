@@ -6,6 +6,7 @@
 #include <relidar/base/error.hpp>
 #include "../network/host_port.hpp"
 #include "../serve/latency.hpp"
+#include "base/fail.hpp"
 #include "console.hpp"
 
 namespace relidar::cli {
@@ -17,11 +18,11 @@ constexpr int kMostClients = 256, kMostCalls = 1'000'000;
 
 void run_service_benchmark(const ServeBenchOptions& bench_options) {
     if (bench_options.clients < 1 || bench_options.clients > kMostClients)
-        throw UsageError(fmt::format("--clients: found {}, expected a number from 1 to {}",
-                                     bench_options.clients, kMostClients));
+        fail<UsageError>("--clients: found {}, expected a number from 1 to {}", bench_options.clients,
+                         kMostClients);
     if (bench_options.calls < 1 || bench_options.calls > kMostCalls)
-        throw UsageError(fmt::format("--calls: found {}, expected a number from 1 to {}", bench_options.calls,
-                                     kMostCalls));
+        fail<UsageError>("--calls: found {}, expected a number from 1 to {}", bench_options.calls,
+                         kMostCalls);
     (void)parse_host_port(bench_options.address, "--serve", 1);
     const serve::LatencyResult r =
         serve::measure_latency({bench_options.address, bench_options.scene, bench_options.sensor,

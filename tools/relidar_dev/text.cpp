@@ -2,6 +2,7 @@
 #include "text.hpp"
 
 #include <algorithm>
+#include <array>
 #include <map>
 
 #include <fmt/format.h>
@@ -25,22 +26,14 @@ std::string format_milliseconds(double ms) {
 }
 
 std::string format_phase_name(const std::string& phase_id, bool includes_training) {
-    if (phase_id == "iteration") return includes_training ? "complete iteration" : "complete frame";
-    if (phase_id == "iteration_wall")
-        return includes_training ? "complete iteration, wall time" : "complete frame, wall time";
-    if (phase_id == "rebuild") return "rebuild of the tree";
-    return "move of one instance";
+    const std::string repetition = includes_training ? "complete iteration" : "complete frame";
+    if (phase_id == "iteration") return repetition;
+    if (phase_id == "iteration_wall") return repetition + ", wall time";
+    return phase_id == "rebuild" ? "rebuild of the tree" : "move of one instance";
 }
 
 std::string get_bvh_traversal_mode_name(const DevCase& bench_case) {
-    switch (bench_case.traversal_mode) {
-        case BvhTraversalMode::lane:
-            return "lane";
-        case BvhTraversalMode::subgroup:
-            return "subgroup";
-        default:
-            return "automatic";
-    }
+    return std::array{"automatic", "lane", "subgroup"}[std::size_t(bench_case.traversal_mode)];
 }
 
 std::string get_device_backend_name(const Device& device) {
