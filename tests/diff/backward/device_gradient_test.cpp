@@ -166,11 +166,8 @@ TEST_F(DeviceGradient, ViewOriginAndLongLists) {
 }
 
 TEST_F(DeviceGradient, OpaqueWithClampsBruteForce) {
-    test::RandomSceneOptions options;
-    options.seed = 34;
-    options.opacity_low = 0.5;
-    options.opacity_high = 0.98;
-    options.wide_surfels = 2;
+    const test::RandomSceneOptions options{
+        .seed = 34, .wide_surfels = 2, .opacity_low = 0.5, .opacity_high = 0.98};
     // Single precision rounds an opacity near 0.99 by up to 6e-8, which is 6e-6 of 1 -
     // alpha. Eq. 9 divides by 1 - alpha, and the transmittance carries this error to the
     // surfels behind the wall. Their gradients are small, so that the fourth digit is not
@@ -184,13 +181,12 @@ TEST_F(DeviceGradient, OpaqueWithClampsBruteForce) {
 }
 
 TEST_F(DeviceGradient, Gaussians) {
-    test::RandomSceneOptions options;
-    options.primitive = PrimitiveType::gaussian;
     // more rays hit a 3D Gaussian than a surfel
-    options.seed = 36;
-    options.rays = 30;
-    options.background_surfels = 24;
-    options.actor_surfels = 8;
+    test::RandomSceneOptions options{.seed = 36,
+                                     .background_surfels = 24,
+                                     .actor_surfels = 8,
+                                     .rays = 30,
+                                     .primitive = PrimitiveType::gaussian};
     // Single precision rounds points 10 m away to 1e-6 m. This is 3e-5 standard
     // deviations of the thinnest Gaussian (0.03 m) and affects every gradient of alpha.
     const double tolerance = 3.0 * test::kKernelGradient;
@@ -207,9 +203,7 @@ TEST_F(DeviceGradient, Gaussians) {
 /// Tests the variant with a single drop logit per ray (an ablation of the paper). The hit
 /// logits then count as 0 and have no gradient. Uses the first two scenes again.
 TEST_F(DeviceGradient, SingleDropLogit) {
-    test::RandomSceneOptions options;
-    options.seed = 31;
-    options.rays = 60;
+    test::RandomSceneOptions options{.seed = 31, .rays = 60};
     expect_agreement({.sh_direction = ShDirection::ray, .single_drop_logit = true}, options, {},
                      "one drop logit, SH along the ray");
     options.seed = 32;
@@ -222,9 +216,7 @@ TEST_F(DeviceGradient, SingleDropLogit) {
 /// hit lists. The tolerance is the same as in DeviceGradient.Likelihood, which tests the
 /// likelihood without the image.
 TEST_F(DeviceGradient, ImageAndLikelihood) {
-    test::RandomSceneOptions options;
-    options.rays = 60;
-    options.seed = 72;
+    test::RandomSceneOptions options{.seed = 72, .rays = 60};
     expect_agreement({.sh_direction = ShDirection::ray}, options,
                      {.proxy = ProxyShape::triangles,
                       .tests_all_methods = true,
@@ -256,9 +248,7 @@ TEST_F(DeviceGradient, ImageAndLikelihood) {
 /// many hits cancel, so that rounding errors of exp and division become visible. These
 /// errors are up to 3 and 2.5 units in the last place on a GPU, and half a unit on a CPU.
 TEST_F(DeviceGradient, Likelihood) {
-    test::RandomSceneOptions options;
-    options.rays = 60;
-    options.seed = 64;
+    test::RandomSceneOptions options{.seed = 64, .rays = 60};
     expect_agreement({.sh_direction = ShDirection::ray}, options,
                      {.tolerance = 2.0 * test::kKernelGradient, .outputs = Outputs::likelihood},
                      "likelihood, SH along the ray");
@@ -292,9 +282,7 @@ INSTANTIATE_TEST_SUITE_P(Primitives, DeviceDifferences,
 TEST_P(DeviceDifferences, OfTheStrongestSurfel) {
     reference::Settings settings;
     settings.image.primitive = GetParam();
-    test::RandomSceneOptions options;
-    options.seed = 35;
-    options.primitive = GetParam();
+    const test::RandomSceneOptions options{.seed = 35, .primitive = GetParam()};
     const test::RandomScene scene = test::make_random_scene(options, settings);
     Passes passes(device(), settings.image, scene, make_random_upstream(scene.rays.size(), 3),
                   test::make_options(settings.image));

@@ -34,12 +34,11 @@ std::vector<float> collect_all_gradients(const DeviceGradients& gradients) {
 class Gather : public test::DeviceTest {
 protected:
     test::RandomScene make_crowded_scene(const reference::Settings& settings) {
-        test::RandomSceneOptions options;
-        options.seed = 51;
-        options.rays = 20;
-        options.background_surfels = 20;
-        options.actor_surfels = 6;
-        options.primitive = settings.image.primitive;
+        test::RandomSceneOptions options{.seed = 51,
+                                         .background_surfels = 20,
+                                         .actor_surfels = 6,
+                                         .rays = 20,
+                                         .primitive = settings.image.primitive};
         test::RandomScene scene = test::make_random_scene(options, settings);
         const std::vector<reference::Ray> once = scene.rays;
         for (int i = 1; i < 100; ++i) scene.rays.insert(scene.rays.end(), once.begin(), once.end());
@@ -81,11 +80,8 @@ TEST_F(Gather, SurfelsThatAreHitAreAllThatCount) {
     for (const ShDirection direction : {ShDirection::surfel, ShDirection::ray}) {
         reference::Settings settings;
         settings.image.sh_direction = direction;
-        test::RandomSceneOptions options;
-        options.seed = 52;
-        options.rays = 30;
-        options.background_surfels = 400;
-        options.actor_surfels = 9;
+        const test::RandomSceneOptions options{
+            .seed = 52, .background_surfels = 400, .actor_surfels = 9, .rays = 30};
         const test::RandomScene scene = test::make_random_scene(options, settings);
         const std::vector<PixelGradient> upstream = test::make_random_upstream(scene.rays.size(), 5);
         std::vector<std::uint32_t> touched;

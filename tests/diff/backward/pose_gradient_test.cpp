@@ -125,29 +125,18 @@ protected:
 };
 
 TEST_F(PoseGradient, ModelPlacedThriceShAlongRay) {
-    test::RandomSceneOptions options;
-    options.seed = 41;
-    options.rays = 60;
-    options.actor_instances = 3;
+    const test::RandomSceneOptions options{.seed = 41, .actor_instances = 3, .rays = 60};
     expect_agreement(ShDirection::ray, options, "poses, SH along the ray, one model placed three times");
 }
 
 TEST_F(PoseGradient, OfModelsThatMoveWhileRaysAreFired) {
-    test::RandomSceneOptions options;
-    options.seed = 47;
-    options.rays = 60;
-    options.actor_instances = 3;
-    options.moving = true;
+    const test::RandomSceneOptions options{.seed = 47, .actor_instances = 3, .rays = 60, .moving = true};
     expect_agreement(ShDirection::ray, options, "poses, models that drive and turn");
 }
 
 TEST_F(PoseGradient, OfTheSensorIsExactInTranslationWhereModelsOnlyDrive) {
-    test::RandomSceneOptions options;
-    options.seed = 48;
-    options.rays = 60;
-    options.actor_instances = 3;
-    options.moving = true;
-    options.angular_speed_radps = 0.0;
+    const test::RandomSceneOptions options{
+        .seed = 48, .actor_instances = 3, .rays = 60, .moving = true, .angular_speed_radps = 0.0};
     PoseProblem p(ShDirection::ray, options);
     Passes passes(device(), p.settings.image, p.scene, p.upstream, test::make_options(p.settings.image));
     passes.run();
@@ -161,32 +150,24 @@ TEST_F(PoseGradient, OfTheSensorIsExactInTranslationWhereModelsOnlyDrive) {
 }
 
 TEST_F(PoseGradient, GaussiansPlacedTwice) {
-    test::RandomSceneOptions options;
-    options.seed = 46;
-    options.rays = 60;
-    options.primitive = PrimitiveType::gaussian;
+    const test::RandomSceneOptions options{.seed = 46, .rays = 60, .primitive = PrimitiveType::gaussian};
     expect_agreement(ShDirection::ray, options, "poses, 3D Gaussians, one model placed twice");
 }
 
 TEST_F(PoseGradient, ShAlongSurfelSeesTheViewOriginMove) {
-    test::RandomSceneOptions options;
-    options.seed = 42;
-    options.rays = 60;
-    options.actor_instances = 1;
-    options.actor_surfels = 30;
+    const test::RandomSceneOptions options{.seed = 42, .actor_surfels = 30, .actor_instances = 1, .rays = 60};
     expect_agreement(ShDirection::surfel, options,
                      "poses, SH along sensor -> mean, an actor in the background");
 }
 
 TEST_F(PoseGradient, MoreSurfelsThanThreadsOfAWorkgroup) {
-    test::RandomSceneOptions options;
-    options.seed = 43;
-    options.rays = 40;
-    options.actor_instances = 1;
-    options.actor_surfels = 90;
-    options.background_surfels = 60;
-    options.opacity_low = 0.02;
-    options.opacity_high = 0.2;
+    const test::RandomSceneOptions options{.seed = 43,
+                                           .background_surfels = 60,
+                                           .actor_surfels = 90,
+                                           .actor_instances = 1,
+                                           .rays = 40,
+                                           .opacity_low = 0.02,
+                                           .opacity_high = 0.2};
     expect_agreement(ShDirection::ray, options, "poses, transparent, 90 surfels an actor");
 }
 
@@ -264,9 +245,7 @@ TEST_F(PoseGradient, ManyBlocksOfSurfels) {
 /// Instances that are behind the sensor, absent, or hit only by rays without a gradient
 /// must have a gradient of exactly zero.
 TEST_F(PoseGradient, WhatNoRayMeetsHasNone) {
-    test::RandomSceneOptions options;
-    options.seed = 44;
-    options.actor_instances = 3;
+    const test::RandomSceneOptions options{.seed = 44, .actor_instances = 3};
     PoseProblem p(ShDirection::ray, options);
     Passes passes(device(), p.settings.image, p.scene, p.upstream, test::make_options(p.settings.image));
     std::vector<InstancePose> placed = passes.renderer.scene().get_instance_poses();

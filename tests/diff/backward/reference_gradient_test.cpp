@@ -189,11 +189,7 @@ TEST(ReferenceGradient, EveryParameterShAlongSurfel) {
 /// Tests the likelihood of measured ranges (M12) without the image. All other tests
 /// include the image.
 TEST(ReferenceGradient, LikelihoodAlone) {
-    test::RandomSceneOptions options;
-    options.seed = 6;
-    options.background_surfels = 24;
-    options.actor_surfels = 8;
-    options.rays = 12;
+    test::RandomSceneOptions options{.seed = 6, .background_surfels = 24, .actor_surfels = 8, .rays = 12};
     expect_differences_agree(ShDirection::surfel, options, 4, "likelihood alone", false,
                              test::Outputs::likelihood);
     options.primitive = PrimitiveType::gaussian;
@@ -202,30 +198,22 @@ TEST(ReferenceGradient, LikelihoodAlone) {
 }
 
 TEST(ReferenceGradient, SingleDropLogit) {
-    test::RandomSceneOptions options;
-    options.seed = 5;
-    options.background_surfels = 24;
-    options.actor_surfels = 8;
-    options.rays = 12;
+    const test::RandomSceneOptions options{
+        .seed = 5, .background_surfels = 24, .actor_surfels = 8, .rays = 12};
     expect_differences_agree(ShDirection::ray, options, 4, "one drop logit, SH along the ray, chunk 4", true);
     expect_differences_agree(ShDirection::surfel, options, 4,
                              "one drop logit, SH along sensor -> mean, chunk 4", true);
 }
 
 TEST(ReferenceGradient, GaussiansShAlongRay) {
-    test::RandomSceneOptions options;
-    options.seed = 6;
-    options.primitive = PrimitiveType::gaussian;
+    const test::RandomSceneOptions options{.seed = 6, .primitive = PrimitiveType::gaussian};
     expect_differences_agree(ShDirection::ray, options, 4,
                              "3D Gaussians, SH along the ray, 3 instances, chunk 4");
 }
 
 TEST(ReferenceGradient, GaussiansOpaqueShAlongSurfel) {
-    test::RandomSceneOptions options;
-    options.seed = 7;
-    options.primitive = PrimitiveType::gaussian;
-    options.opacity_low = 0.5;
-    options.opacity_high = 0.98;
+    const test::RandomSceneOptions options{
+        .seed = 7, .opacity_low = 0.5, .opacity_high = 0.98, .primitive = PrimitiveType::gaussian};
     expect_differences_agree(ShDirection::surfel, options, 2,
                              "3D Gaussians, opaque, SH along sensor -> mean, chunk 2");
 }
@@ -245,11 +233,8 @@ std::pair<int, int> count_clamps_and_stopped_rays(const Problem& problem) {
 }
 
 TEST(ReferenceGradient, OpaqueSceneThatStopsEarly) {
-    test::RandomSceneOptions options;
-    options.seed = 3;
-    options.opacity_low = 0.5;
-    options.opacity_high = 0.98;
-    options.wide_surfels = 2;
+    const test::RandomSceneOptions options{
+        .seed = 3, .wide_surfels = 2, .opacity_low = 0.5, .opacity_high = 0.98};
     const auto [clamps, stops] = count_clamps_and_stopped_rays(Problem(ShDirection::surfel, options, 2));
     EXPECT_GT(clamps, 0);
     EXPECT_GT(stops, 0);
@@ -257,13 +242,12 @@ TEST(ReferenceGradient, OpaqueSceneThatStopsEarly) {
 }
 
 TEST(ReferenceGradient, LongListsChunk16) {
-    test::RandomSceneOptions options;
-    options.seed = 4;
-    options.background_surfels = 80;
-    options.actor_surfels = 16;
-    options.rays = 8;
-    options.opacity_low = 0.02;
-    options.opacity_high = 0.2;
+    const test::RandomSceneOptions options{.seed = 4,
+                                           .background_surfels = 80,
+                                           .actor_surfels = 16,
+                                           .rays = 8,
+                                           .opacity_low = 0.02,
+                                           .opacity_high = 0.2};
     expect_differences_agree(ShDirection::ray, options, 16, "transparent, long lists, chunk 16");
 }
 

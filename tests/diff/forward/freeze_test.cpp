@@ -69,9 +69,7 @@ TEST_F(Freeze, RendersAsThePlacedScene) {
     const WorldRays rays = test::make_random_case(5, 1500, 2000).rays;
     for (const PrimitiveType primitive : {PrimitiveType::surfel, PrimitiveType::gaussian})
         for (const ShDirection direction : {ShDirection::ray, ShDirection::surfel}) {
-            ImageFormationModel model;
-            model.primitive = primitive;
-            model.sh_direction = direction;
+            const ImageFormationModel model{.sh_direction = direction, .primitive = primitive};
             const Scene scene = make_some_actors(primitive);
             std::vector<InstancePose> placed = make_some_poses();
             for (const bool one_is_absent : {false, true}) {

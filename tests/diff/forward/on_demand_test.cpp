@@ -114,9 +114,7 @@ TEST_F(OnDemand, AgreesWithDoubleReference) {
 /// select a different surface.
 TEST_F(OnDemand, ModeAgreesWithDoubleReference) {
     constexpr float kGap = 0.3f;
-    test::RandomSceneOptions options;
-    options.seed = 28;
-    options.rays = 100;
+    const test::RandomSceneOptions options{.seed = 28, .rays = 100};
     const reference::Settings settings;
     const test::RandomScene scene = test::make_random_scene(options, settings);
     const reference::BruteForce brute(scene.world, settings.image, reference::Precision::double_record);
@@ -151,9 +149,7 @@ TEST_F(OnDemand, ModeAgreesWithDoubleReference) {
 /// Each ray of a batch must use its own measured range. A batch without targets must not
 /// render a likelihood.
 TEST_F(OnDemand, LikelihoodOfEveryThirdRay) {
-    test::RandomSceneOptions options;
-    options.seed = 27;
-    options.rays = 60;
+    const test::RandomSceneOptions options{.seed = 27, .rays = 60};
     const test::RandomScene scene = test::make_random_scene(options, {});
     const test::SceneAndPoses placed =
         test::to_scene(test::to_surfels(scene.world.surfels), scene.world.instances);
@@ -181,9 +177,7 @@ TEST_F(OnDemand, LikelihoodOfEveryThirdRay) {
 }
 
 TEST_F(OnDemand, OfARenderer) {
-    test::RandomSceneOptions options;
-    options.seed = 26;
-    options.rays = 100;
+    const test::RandomSceneOptions options{.seed = 26, .rays = 100};
     const reference::Settings settings;
     const test::RandomScene scene = test::make_random_scene(options, settings);
     const reference::BruteForce brute(scene.world, settings.image, reference::Precision::double_record);

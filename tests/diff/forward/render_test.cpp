@@ -83,15 +83,14 @@ TEST_F(Forward, AgreesWithDoubleReference) {
         reference::Settings settings;
         settings.image.sh_direction = direction;
         settings.image.primitive = primitive;
-        test::RandomSceneOptions options;
-        options.seed = 21;
-        options.primitive = primitive;
         // With SH along the surfel, the first instance of a model determines the
         // direction, so the actor has a single instance.
-        options.actor_instances = direction == ShDirection::ray ? 2 : 1;
-        options.background_surfels = 24;
-        options.actor_surfels = 20;
-        options.rays = 300;
+        const test::RandomSceneOptions options{.seed = 21,
+                                               .background_surfels = 24,
+                                               .actor_surfels = 20,
+                                               .actor_instances = direction == ShDirection::ray ? 2 : 1,
+                                               .rays = 300,
+                                               .primitive = primitive};
         const test::RandomScene scene = test::make_random_scene(options, settings);
         settings.view_origin = scene.view_origin;
         const Expected e = render_reference(scene, settings);
@@ -146,10 +145,7 @@ TEST_F(Forward, SingleDropLogitAgreesWithDoubleReference) {
         reference::Settings settings;
         settings.image.sh_direction = direction;
         settings.image.single_drop_logit = true;
-        test::RandomSceneOptions options;
-        options.seed = 22;
-        options.actor_instances = 1;
-        options.rays = 100;
+        const test::RandomSceneOptions options{.seed = 22, .actor_instances = 1, .rays = 100};
         const test::RandomScene scene = test::make_random_scene(options, settings);
         settings.view_origin = scene.view_origin;
         const Expected e = render_reference(scene, settings);
@@ -171,9 +167,7 @@ TEST_F(Forward, SingleDropLogitAgreesWithDoubleReference) {
 /// Thin 3D Gaussians must render like surfels, and thick Gaussians must differ. Normals
 /// face the rays within 50 degrees.
 TEST_F(Forward, ThinGaussiansApproachSurfels) {
-    test::RandomSceneOptions options;
-    options.seed = 23;
-    options.rays = 200;
+    const test::RandomSceneOptions options{.seed = 23, .rays = 200};
     const test::RandomScene random = test::make_random_scene(options, {});
     const test::SceneAndPoses placed =
         test::to_scene(test::to_surfels(random.world.surfels), random.world.instances);
@@ -271,9 +265,7 @@ void expect_unharmed(Device& device, const Surfels& good, const WorldRays& rays)
     for (const float bad : {std::nanf(""), HUGE_VALF, -HUGE_VALF, 1e38f})
         poisoned.append_surfels(make_poisoned_copies(good, bad));
     for (const ShDirection direction : {ShDirection::ray, ShDirection::surfel}) {
-        ImageFormationModel model;
-        model.sh_direction = direction;
-        model.primitive = good.primitive;
+        const ImageFormationModel model{.sh_direction = direction, .primitive = good.primitive};
         const RenderedRayValues expected = render_once(device, make_background_scene(good), model, rays);
         const RenderedRayValues actual = render_once(device, make_background_scene(poisoned), model, rays);
         EXPECT_EQ(actual.hits, expected.hits);

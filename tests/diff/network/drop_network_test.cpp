@@ -58,11 +58,7 @@ double compute_accuracy(const std::vector<float>& probability, const RayDropImag
 }
 
 RayDropNetworkOptions make_short_training() {
-    RayDropNetworkOptions options;
-    options.levels = 1;
-    options.epochs = 40;
-    options.batch = 2;
-    options.rate = 0.02;
+    const RayDropNetworkOptions options{.levels = 1, .epochs = 40, .batch = 2, .rate = 0.02};
     return options;
 }
 
@@ -272,9 +268,7 @@ TEST_F(DropNetworkTest, RefusesWeightsOfAnotherConfiguration) {
 }
 
 TEST(DropNetworkShape, PaperHasAbout65MillionParameters) {
-    RayDropNetworkOptions options;
-    options.network = "paper";
-    options.rays = "origin,direction";
+    const RayDropNetworkOptions options{.network = "paper", .rays = "origin,direction"};
     // Channels: depth, intensity, drop probability, origin (3), and the elevation of the
     // direction.
     EXPECT_EQ(list_network_input_channels(options).size(), 7u);
