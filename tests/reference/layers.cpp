@@ -203,29 +203,24 @@ NormGradient backpropagate_normalisation(const ImageBatch& from, const NormLayer
 
 ImageBatch pool(const ImageBatch& from) {
     ImageBatch to(from.n, from.channels, from.rows / 2, from.columns / 2, from.circular);
-    for (int image = 0; image < to.n; ++image)
-        for (int c = 0; c < to.channels; ++c)
-            for (int y = 0; y < to.rows; ++y)
-                for (int x = 0; x < to.columns; ++x)
-                    to.at(image, c, y, x) = std::max(
-                        {from.at(image, c, 2 * y, 2 * x), from.at(image, c, 2 * y, 2 * x + 1),
-                         from.at(image, c, 2 * y + 1, 2 * x), from.at(image, c, 2 * y + 1, 2 * x + 1)});
+    to.for_each([&](int image, int c, int y, int x) {
+        to.at(image, c, y, x) =
+            std::max({from.at(image, c, 2 * y, 2 * x), from.at(image, c, 2 * y, 2 * x + 1),
+                      from.at(image, c, 2 * y + 1, 2 * x), from.at(image, c, 2 * y + 1, 2 * x + 1)});
+    });
     return to;
 }
 
 ImageBatch backpropagate_pool(const ImageBatch& from, const ImageBatch& d_to) {
     const ImageBatch largest = pool(from);
     ImageBatch d_from(from.n, from.channels, from.rows, from.columns);
-    for (int image = 0; image < d_to.n; ++image)
-        for (int c = 0; c < d_to.channels; ++c)
-            for (int y = 0; y < d_to.rows; ++y)
-                for (int x = 0; x < d_to.columns; ++x)
-                    for (int k = 0; k < 4; ++k) {
-                        if (from.at(image, c, 2 * y + k / 2, 2 * x + k % 2) != largest.at(image, c, y, x))
-                            continue;
-                        d_from.at(image, c, 2 * y + k / 2, 2 * x + k % 2) += d_to.at(image, c, y, x);
-                        break;
-                    }
+    d_to.for_each([&](int image, int c, int y, int x) {
+        for (int k = 0; k < 4; ++k) {
+            if (from.at(image, c, 2 * y + k / 2, 2 * x + k % 2) != largest.at(image, c, y, x)) continue;
+            d_from.at(image, c, 2 * y + k / 2, 2 * x + k % 2) += d_to.at(image, c, y, x);
+            break;
+        }
+    });
     return d_from;
 }
 

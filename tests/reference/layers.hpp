@@ -32,6 +32,14 @@ struct ImageBatch {
         return values[index(image, channel, row, column)];
     }
     std::size_t pixels() const { return std::size_t(rows) * columns; }
+    /// Calls visit(image, channel, row, column) for each value.
+    template <class Visit>
+    void for_each(Visit&& visit) const {
+        for (int image = 0; image < n; ++image)
+            for (int c = 0; c < channels; ++c)
+                for (int y = 0; y < rows; ++y)
+                    for (int x = 0; x < columns; ++x) visit(image, c, y, x);
+    }
 };
 
 /// Returns the convolution of a batch.

@@ -277,6 +277,8 @@ void bind_run_methods(py::class_<LoadedRun>& run_class) {
 }
 
 void bind_run_properties(py::class_<LoadedRun>& run_class) {
+    bind_sequence_properties(run_class,
+                             [](const LoadedRun& run) -> const LidarSequence& { return run.run.sequence; });
     run_class
         .def_property_readonly(
             "folder", [](const LoadedRun& run) { return run.run.folder.string(); },
@@ -296,23 +298,8 @@ void bind_run_properties(py::class_<LoadedRun>& run_class) {
             },
             "A copy of the surfels as a dict of float32 arrays that relidar.Scene accepts.")
         .def_property_readonly(
-            "times", [](const LoadedRun& run) { return make_frame_time_array(run.run.sequence); },
-            "Times in seconds at which the head of the LiDAR faced forward, [frames] float64.")
-        .def_property_readonly(
-            "frame_numbers", [](const LoadedRun& run) { return make_frame_number_array(run.run.sequence); },
-            "Frame numbers of the dataset, [frames] int32.")
-        .def_property_readonly(
             "held_out", [](const LoadedRun& run) { return run.run.split.test; },
             "Indices of the held-out frames in `times`.")
-        .def_property_readonly(
-            "trajectory", [](const LoadedRun& run) { return make_vehicle_trajectory(run.run.sequence); },
-            "Trajectory of the log's vehicle in the dataset's world: (times [n], poses [n,4,4]), in the form "
-            "of render(). For a single LiDAR, it is the trajectory of the sensor.")
-        .def_property_readonly(
-            "mountings", [](const LoadedRun& run) { return make_lidar_mounting_dict(run.run.sequence); },
-            "Mountings of the LiDARs: dict of LiDAR name -> pose vehicle from sensor, [4,4] float64. The "
-            "poses of a LiDAR are poses @ mountings[name]. A single LiDAR has an empty name and the "
-            "identity.")
         .def_property_readonly(
             "actors",
             [](const LoadedRun& run) {

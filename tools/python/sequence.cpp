@@ -88,12 +88,6 @@ py::object make_vehicle_trajectory(const LidarSequence& sequence) {
     return convert_track_to_times_and_poses(sequence.world_from_vehicle, sequence.world_offset_m);
 }
 
-py::object list_lidar_name_per_frame(const LidarSequence& sequence) {
-    py::list names;
-    for (const LidarFrame& frame : sequence.frames) names.append(sequence.get_lidar(frame).name);
-    return names;
-}
-
 py::object make_lidar_mounting_dict(const LidarSequence& sequence) {
     py::dict mountings;
     for (const Lidar& lidar : sequence.lidars)
@@ -113,10 +107,11 @@ py::object make_actor_track_dict(const LidarSequence& sequence, const std::vecto
 namespace {
 
 void bind_sequence_class(py::module_& module) {
-    py::class_<LoadedLog>(
+    py::class_<LoadedLog> type(
         module, "Sequence",
-        "A LiDAR log with scans, rays, sensor poses and tracked boxes. load_sequence() creates it.")
-        .def(
+        "A LiDAR log with scans, rays, sensor poses and tracked boxes. load_sequence() creates it.");
+    bind_sequence_properties(type, [](const LoadedLog& log) -> const LidarSequence& { return log.sequence; });
+    type.def(
             "__len__", [](const LoadedLog& log) { return log.sequence.frames.size(); }, "Number of frames.")
         .def_property_readonly("name", [](const LoadedLog& log) { return log.sequence.name; })
         .def_property_readonly(
@@ -126,22 +121,14 @@ void bind_sequence_class(py::module_& module) {
             "config", [](const LoadedLog& log) { return log.config; },
             "A copy of the settings that the log was read with.")
         .def_property_readonly(
-            "times", [](const LoadedLog& log) { return make_frame_time_array(log.sequence); },
-            "Times in seconds at which the head of the LiDAR faced forward, [frames] float64.")
-        .def_property_readonly(
-            "frame_numbers", [](const LoadedLog& log) { return make_frame_number_array(log.sequence); },
-            "Frame numbers of the dataset, [frames] int32.")
-        .def_property_readonly(
-            "frame_lidars", [](const LoadedLog& log) { return list_lidar_name_per_frame(log.sequence); },
+            "frame_lidars",
+            [](const LoadedLog& log) {
+                py::list names;
+                for (const LidarFrame& frame : log.sequence.frames)
+                    names.append(log.sequence.get_lidar(frame).name);
+                return names;
+            },
             "Name of the LiDAR of each frame, [frames]. Empty if the log has a single LiDAR.")
-        .def_property_readonly(
-            "trajectory", [](const LoadedLog& log) { return make_vehicle_trajectory(log.sequence); },
-            "Trajectory of the vehicle in the dataset's world: (times [n], poses [n,4,4]), float64, metres. "
-            "For a single LiDAR, it is the trajectory of the sensor.")
-        .def_property_readonly(
-            "mountings", [](const LoadedLog& log) { return make_lidar_mounting_dict(log.sequence); },
-            "Mountings of the LiDARs: dict of LiDAR name -> pose vehicle from sensor, [4,4] float64. A "
-            "single LiDAR has an empty name and the identity.")
         .def_property_readonly(
             "boxes",
             [](const LoadedLog& log) {

@@ -58,14 +58,25 @@ AttentionActivations Attention::allocate_attention_activations(Device& device, c
     return state;
 }
 
-void Attention::multiply_matrices(Stream& stream, shared::MatmulParams params,
-                                  const ImageBatchSize& grid) const {
-    params.n_batch = grid.n;
-    params.n_heads = heads_;
-    const std::uint32_t jobs = params.n_batch * params.n_heads * divide_rounding_up(params.columns, lanes_) *
-                               divide_rounding_up(params.rows, RELIDAR_MATMUL_ROWS);
+/// Computes c = scale a b. `rows` and `inner` are the shape of `a`; b and c have a column
+/// per pixel.
+void Attention::multiply_matrices(Stream& stream, const shared::MatrixView& a, const shared::MatrixView& b,
+                                  const shared::MatrixView& c, std::uint32_t rows, std::uint32_t inner,
+                                  float scale, const ImageBatchSize& grid) const {
+    const auto columns = std::uint32_t(grid.count_pixels_per_image());
+    const std::uint32_t jobs =
+        grid.n * heads_ * divide_rounding_up(columns, lanes_) * divide_rounding_up(rows, RELIDAR_MATMUL_ROWS);
     run(stream, matmul_,
-        std::size_t(divide_rounding_up(jobs, kAttentionThreads / lanes_)) * kAttentionThreads, params);
+        std::size_t(divide_rounding_up(jobs, kAttentionThreads / lanes_)) * kAttentionThreads,
+        {.a = a,
+         .b = b,
+         .c = c,
+         .n_batch = grid.n,
+         .n_heads = heads_,
+         .rows = rows,
+         .inner = inner,
+         .columns = columns,
+         .scale = scale});
 }
 
 void Attention::run_softmax(Stream& stream, AttentionActivations& state, const ImageBatchSize& grid,
@@ -89,29 +100,14 @@ void Attention::compute_attention(Stream& stream, const ChannelSlice& qkv, Atten
                        key = qkv.get_channel_range(channels, channels),
                        value = qkv.get_channel_range(2 * channels, channels);
     const ImageBatchSize& grid = output.grid;
-    multiply_matrices(stream,
-                      {.a = view_as_head_matrices(query, heads_, true),
-                       .b = view_as_head_matrices(key, heads_, false),
-                       .c = view_as_attention_matrices(state.share, grid, heads_, false),
-                       .n_batch = 0,
-                       .n_heads = 0,
-                       .rows = pixels,
-                       .inner = size,
-                       .columns = pixels,
-                       .scale = 1.0f / std::sqrt(float(size))},
-                      grid);
+    multiply_matrices(stream, view_as_head_matrices(query, heads_, true),
+                      view_as_head_matrices(key, heads_, false),
+                      view_as_attention_matrices(state.share, grid, heads_, false), pixels, size,
+                      1.0f / std::sqrt(float(size)), grid);
     run_softmax(stream, state, grid, false);
-    multiply_matrices(stream,
-                      {.a = view_as_head_matrices(value, heads_, false),
-                       .b = view_as_attention_matrices(state.share, grid, heads_, true),
-                       .c = view_as_head_matrices(output, heads_, false),
-                       .n_batch = 0,
-                       .n_heads = 0,
-                       .rows = size,
-                       .inner = pixels,
-                       .columns = pixels,
-                       .scale = 1.0f},
-                      grid);
+    multiply_matrices(stream, view_as_head_matrices(value, heads_, false),
+                      view_as_attention_matrices(state.share, grid, heads_, true),
+                      view_as_head_matrices(output, heads_, false), size, pixels, 1.0f, grid);
 }
 
 void Attention::backpropagate_to_qkv(Stream& stream, const ChannelSlice& qkv, AttentionActivations& state,
@@ -129,17 +125,7 @@ void Attention::backpropagate_to_qkv(Stream& stream, const ChannelSlice& qkv, At
     const auto product = [&](const shared::MatrixView& first, const shared::MatrixView& second,
                              const shared::MatrixView& c, std::uint32_t rows, std::uint32_t inner,
                              float factor) {
-        multiply_matrices(stream,
-                          {.a = first,
-                           .b = second,
-                           .c = c,
-                           .n_batch = 0,
-                           .n_heads = 0,
-                           .rows = rows,
-                           .inner = inner,
-                           .columns = pixels,
-                           .scale = factor},
-                          grid);
+        multiply_matrices(stream, first, second, c, rows, inner, factor, grid);
     };
     // computes d_value = d_output share
     product(view_as_head_matrices(d_output, heads_, false),

@@ -34,7 +34,9 @@ private:
     Kernel<shared::MatmulParams> matmul_;
     Kernel<shared::SoftmaxParams> softmax_;
 
-    void multiply_matrices(Stream& stream, shared::MatmulParams params, const ImageBatchSize& grid) const;
+    void multiply_matrices(Stream& stream, const shared::MatrixView& a, const shared::MatrixView& b,
+                           const shared::MatrixView& c, std::uint32_t rows, std::uint32_t inner, float scale,
+                           const ImageBatchSize& grid) const;
     void run_softmax(Stream& stream, AttentionActivations& state, const ImageBatchSize& grid,
                      bool is_backward) const;
 };

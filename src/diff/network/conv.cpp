@@ -90,42 +90,32 @@ std::size_t ConvolutionKernels::count_weight_gradient_threads(const shared::Conv
     return std::size_t(divide_rounding_up(subgroups, kConvThreads / lanes_)) * kConvThreads;
 }
 
-void ConvolutionKernels::run_conv_kernel(Stream& stream, const shared::ConvParams& params) const {
+void ConvolutionKernels::run_conv_kernel(Stream& stream, const ChannelSlice& from, const ChannelSlice& to,
+                                         Weights weights, Bias bias, bool transposed, bool accumulate) const {
+    RELIDAR_ASSERT_EQ(from.grid.count_all_pixels(), to.grid.count_all_pixels());
+    const shared::ConvParams params{.from = from.view,
+                                    .to = to.view,
+                                    .weights = weights,
+                                    .bias = bias,
+                                    .n_images = from.grid.n,
+                                    .rows = from.grid.rows,
+                                    .columns = from.grid.columns,
+                                    .n_in = from.channels,
+                                    .n_out = to.channels,
+                                    .transposed = transposed ? 1u : 0u,
+                                    .accumulate = accumulate ? 1u : 0u,
+                                    .circular = from.grid.circular ? 1u : 0u};
     run(stream, conv_, count_conv_threads(params), params);
 }
 
 void ConvolutionKernels::run_convolution(Stream& stream, const ChannelSlice& input, Weights weights,
                                          Bias bias, const ChannelSlice& output, bool accumulate) {
-    RELIDAR_ASSERT_EQ(input.grid.count_all_pixels(), output.grid.count_all_pixels());
-    run_conv_kernel(stream, {.from = input.view,
-                             .to = output.view,
-                             .weights = weights,
-                             .bias = bias,
-                             .n_images = input.grid.n,
-                             .rows = input.grid.rows,
-                             .columns = input.grid.columns,
-                             .n_in = input.channels,
-                             .n_out = output.channels,
-                             .transposed = 0,
-                             .accumulate = accumulate ? 1u : 0u,
-                             .circular = input.grid.circular ? 1u : 0u});
+    run_conv_kernel(stream, input, output, weights, bias, false, accumulate);
 }
 
 void ConvolutionKernels::backpropagate_input(Stream& stream, const ChannelSlice& d_output, Weights weights,
-                                             const ChannelSlice& d_input, bool accumulate) {
-    RELIDAR_ASSERT_EQ(d_input.grid.count_all_pixels(), d_output.grid.count_all_pixels());
-    run_conv_kernel(stream, {.from = d_output.view,
-                             .to = d_input.view,
-                             .weights = weights,
-                             .bias = {},
-                             .n_images = d_output.grid.n,
-                             .rows = d_output.grid.rows,
-                             .columns = d_output.grid.columns,
-                             .n_in = d_output.channels,
-                             .n_out = d_input.channels,
-                             .transposed = 1,
-                             .accumulate = accumulate ? 1u : 0u,
-                             .circular = d_output.grid.circular ? 1u : 0u});
+                                             const ChannelSlice& d_input) {
+    run_conv_kernel(stream, d_output, d_input, weights, {}, true, false);
 }
 
 std::size_t ConvolutionKernels::count_partial_sum_floats(const ImageBatchSize& grid,

@@ -28,7 +28,7 @@ public:
                          const ChannelSlice& output, bool accumulate = false);
     /// Computes the gradient of the input, `d_input`.
     void backpropagate_input(Stream& stream, const ChannelSlice& d_output, Weights weights,
-                             const ChannelSlice& d_input, bool accumulate = false);
+                             const ChannelSlice& d_input);
     /// Computes the gradient of the weights, [output channels, input channels, taps].
     /// Adds in a fixed order, so that every run gives the same result.
     void backpropagate_weights(Stream& stream, const ChannelSlice& input, const ChannelSlice& d_output,
@@ -46,7 +46,8 @@ private:
     Kernel<shared::SumPartsParams> sum_parts_;
     Array<float, shared::PartSums> partial_;
 
-    void run_conv_kernel(Stream& stream, const shared::ConvParams& params) const;
+    void run_conv_kernel(Stream& stream, const ChannelSlice& from, const ChannelSlice& to, Weights weights,
+                         Bias bias, bool transposed, bool accumulate) const;
     std::size_t count_conv_threads(const shared::ConvParams& params) const;
     std::size_t count_weight_gradient_threads(const shared::ConvWeightsParams& params) const;
 };

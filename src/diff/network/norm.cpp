@@ -41,6 +41,22 @@ void NormalisationKernels::reserve_channel_sums(Device& device, std::uint32_t n_
                      "partial sums of channels");
 }
 
+shared::ChannelSumsParams NormalisationKernels::make_sums_params(const ChannelSlice& input,
+                                                                 std::uint32_t kind) const {
+    return {.from = input.view,
+            .d_to = input.view,
+            .partial = partial_.address(),
+            .scale_shift = {},
+            .moments = {},
+            .kind = kind,
+            .n_images = input.grid.n,
+            .n_pixels = std::uint32_t(input.grid.count_pixels_per_image()),
+            .n_channels = input.channels,
+            .n_parts = count_partial_sums_per_channel(input.grid),
+            .dropout_key = 0,
+            .dropout = 0.0f};
+}
+
 void NormalisationKernels::compute_partial_channel_sums(Stream& stream,
                                                         shared::ChannelSumsParams params) const {
     RELIDAR_ASSERT_LE(2 * std::size_t(params.n_channels) * params.n_parts, partial_.size());
@@ -86,18 +102,7 @@ void NormalisationKernels::run_norm_relu_dropout_for_training(Stream& stream, co
                                                               const NormWeights& weights,
                                                               NormActivations& state,
                                                               const ChannelSlice& output) {
-    compute_partial_channel_sums(stream, {.from = input.view,
-                                          .d_to = input.view,
-                                          .partial = partial_.address(),
-                                          .scale_shift = {},
-                                          .moments = {},
-                                          .kind = shared::kSums_moments,
-                                          .n_images = input.grid.n,
-                                          .n_pixels = std::uint32_t(input.grid.count_pixels_per_image()),
-                                          .n_channels = input.channels,
-                                          .n_parts = count_partial_sums_per_channel(input.grid),
-                                          .dropout_key = 0,
-                                          .dropout = 0.0f});
+    compute_partial_channel_sums(stream, make_sums_params(input, shared::kSums_moments));
     compute_scale_and_shift(stream, input, weights, state, true);
     apply_scale_shift_and_relu(stream, input, state, output, true);
 }
@@ -113,24 +118,17 @@ void NormalisationKernels::backpropagate_norm_layer(Stream& stream, const Channe
                                                     const NormActivations& state,
                                                     const ChannelSlice& d_output, const ChannelSlice& d_input,
                                                     const NormGradientTarget& gradient, bool accumulate) {
-    const auto n_pixels = std::uint32_t(input.grid.count_pixels_per_image()),
-               n_parts = count_partial_sums_per_channel(input.grid);
-    compute_partial_channel_sums(stream, {.from = input.view,
-                                          .d_to = d_output.view,
-                                          .partial = partial_.address(),
-                                          .scale_shift = state.scale_shift.address(),
-                                          .moments = state.moments.address(),
-                                          .kind = shared::kSums_norm_vjp,
-                                          .n_images = input.grid.n,
-                                          .n_pixels = n_pixels,
-                                          .n_channels = input.channels,
-                                          .n_parts = n_parts,
-                                          .dropout_key = state.dropout_key,
-                                          .dropout = state.dropout});
+    shared::ChannelSumsParams sums = make_sums_params(input, shared::kSums_norm_vjp);
+    sums.d_to = d_output.view;
+    sums.scale_shift = state.scale_shift.address();
+    sums.moments = state.moments.address();
+    sums.dropout_key = state.dropout_key;
+    sums.dropout = state.dropout;
+    compute_partial_channel_sums(stream, sums);
     run(stream, sum_parts_, 2 * input.channels,
         {.partial = partial_.address(),
          .sum = gradient.all.address_as<float, shared::SumOfParts>(gradient.first),
-         .n_parts = n_parts,
+         .n_parts = sums.n_parts,
          .n = 2 * input.channels});
     run(stream, norm_vjp_, count_normalisation_threads(input),
         {.from = input.view,
@@ -140,7 +138,7 @@ void NormalisationKernels::backpropagate_norm_layer(Stream& stream, const Channe
          .scale_shift = state.scale_shift.address(),
          .moments = state.moments.address(),
          .n_images = input.grid.n,
-         .n_pixels = n_pixels,
+         .n_pixels = sums.n_pixels,
          .n_channels = input.channels,
          .dropout_key = state.dropout_key,
          .dropout = state.dropout,
@@ -149,23 +147,12 @@ void NormalisationKernels::backpropagate_norm_layer(Stream& stream, const Channe
 
 void NormalisationKernels::backpropagate_bias(Stream& stream, const ChannelSlice& d_output,
                                               Address<float, shared::ConvBias> d_bias) {
-    const std::uint32_t n_parts = count_partial_sums_per_channel(d_output.grid);
-    compute_partial_channel_sums(stream, {.from = d_output.view,
-                                          .d_to = d_output.view,
-                                          .partial = partial_.address(),
-                                          .scale_shift = {},
-                                          .moments = {},
-                                          .kind = shared::kSums_plain,
-                                          .n_images = d_output.grid.n,
-                                          .n_pixels = std::uint32_t(d_output.grid.count_pixels_per_image()),
-                                          .n_channels = d_output.channels,
-                                          .n_parts = n_parts,
-                                          .dropout_key = 0,
-                                          .dropout = 0.0f});
+    const shared::ChannelSumsParams sums = make_sums_params(d_output, shared::kSums_plain);
+    compute_partial_channel_sums(stream, sums);
     run(stream, sum_parts_, d_output.channels,
         {.partial = partial_.address(),
          .sum = d_bias.cast_content_tag<shared::SumOfParts>(),
-         .n_parts = n_parts,
+         .n_parts = sums.n_parts,
          .n = d_output.channels});
 }
 

@@ -67,6 +67,7 @@ private:
     Kernel<shared::SumPartsParams> sum_parts_;
     Array<float, shared::PartSums> partial_;
 
+    shared::ChannelSumsParams make_sums_params(const ChannelSlice& input, std::uint32_t kind) const;
     void compute_partial_channel_sums(Stream& stream, shared::ChannelSumsParams params) const;
     void apply_scale_shift_and_relu(Stream& stream, const ChannelSlice& input, const NormActivations& state,
                                     const ChannelSlice& output, bool is_training) const;

@@ -6,9 +6,10 @@
 #include <cstdint>
 #include <vector>
 
-#include <relidar/diff/accel.hpp>
 #include <relidar/diff/traversal.hpp>
-#include <relidar/scene/device_scene.hpp>
+
+#include "diff/shared/trace.h"
+#include "gpu/kernel.hpp"
 
 namespace relidar {
 
@@ -20,19 +21,13 @@ struct CollectedHits {
     std::vector<std::uint32_t> surfel;    ///< [n_rays, max_hits] surfel of each hit
 };
 
-struct PosedScene {
-    const Scene* scene = nullptr;
-    std::vector<InstancePose> world_from_instance;
-    ImageFormationModel model;
-    AccelOptions accel;
-    TraceOptions trace;
-};
-
-/// Returns all hits of each ray, from near to far.
-/// @param max_hits_per_ray maximum number of stored hits per ray. Further hits are only
-/// counted
+/// Returns all hits of each ray, from near to far. Hits beyond `max_hits` per ray are only
+/// counted.
+/// @param scene from make_trace_scene_params(); this function adds the rays
+/// @param variant,constants of the kernel, see trace_scene.hpp
 /// @throws DeviceError if a ray has too many hits to be traced completely
-CollectedHits collect_ray_hits(Device& device, const PosedScene& posed_scene, const WorldRays& rays,
-                               std::uint32_t max_hits_per_ray);
+CollectedHits collect_ray_hits(Device& device, const KernelVariant& variant,
+                               const std::vector<SpecialisationConstant>& constants, shared::TraceScene scene,
+                               const WorldRays& rays, std::uint32_t max_hits);
 
 }  // namespace relidar

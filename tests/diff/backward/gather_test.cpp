@@ -51,9 +51,7 @@ TEST_F(Gather, SameBitsInEveryRunAndTraversal) {
     for (const auto& [direction, primitive] : {std::pair{ray, PrimitiveType::surfel},
                                                {surfel, PrimitiveType::surfel},
                                                {surfel, PrimitiveType::gaussian}}) {
-        reference::Settings settings;
-        settings.image.sh_direction = direction;
-        settings.image.primitive = primitive;
+        const reference::Settings settings{.image = {.sh_direction = direction, .primitive = primitive}};
         const test::RandomScene scene = make_crowded_scene(settings);
         const std::vector<PixelGradient> upstream = test::make_random_upstream(scene.rays.size(), 5);
         RendererOptions options = test::make_options(settings.image);

@@ -125,13 +125,13 @@ protected:
 };
 
 TEST_F(PoseGradient, ModelPlacedThriceShAlongRay) {
-    const test::RandomSceneOptions options{.seed = 41, .actor_instances = 3, .rays = 60};
-    expect_agreement(ShDirection::ray, options, "poses, SH along the ray, one model placed three times");
+    expect_agreement(ShDirection::ray, {.seed = 41, .actor_instances = 3, .rays = 60},
+                     "poses, SH along the ray, one model placed three times");
 }
 
 TEST_F(PoseGradient, OfModelsThatMoveWhileRaysAreFired) {
-    const test::RandomSceneOptions options{.seed = 47, .actor_instances = 3, .rays = 60, .moving = true};
-    expect_agreement(ShDirection::ray, options, "poses, models that drive and turn");
+    expect_agreement(ShDirection::ray, {.seed = 47, .actor_instances = 3, .rays = 60, .moving = true},
+                     "poses, models that drive and turn");
 }
 
 TEST_F(PoseGradient, OfTheSensorIsExactInTranslationWhereModelsOnlyDrive) {
@@ -150,25 +150,25 @@ TEST_F(PoseGradient, OfTheSensorIsExactInTranslationWhereModelsOnlyDrive) {
 }
 
 TEST_F(PoseGradient, GaussiansPlacedTwice) {
-    const test::RandomSceneOptions options{.seed = 46, .rays = 60, .primitive = PrimitiveType::gaussian};
-    expect_agreement(ShDirection::ray, options, "poses, 3D Gaussians, one model placed twice");
+    expect_agreement(ShDirection::ray, {.seed = 46, .rays = 60, .primitive = PrimitiveType::gaussian},
+                     "poses, 3D Gaussians, one model placed twice");
 }
 
 TEST_F(PoseGradient, ShAlongSurfelSeesTheViewOriginMove) {
-    const test::RandomSceneOptions options{.seed = 42, .actor_surfels = 30, .actor_instances = 1, .rays = 60};
-    expect_agreement(ShDirection::surfel, options,
+    expect_agreement(ShDirection::surfel, {.seed = 42, .actor_surfels = 30, .actor_instances = 1, .rays = 60},
                      "poses, SH along sensor -> mean, an actor in the background");
 }
 
 TEST_F(PoseGradient, MoreSurfelsThanThreadsOfAWorkgroup) {
-    const test::RandomSceneOptions options{.seed = 43,
-                                           .background_surfels = 60,
-                                           .actor_surfels = 90,
-                                           .actor_instances = 1,
-                                           .rays = 40,
-                                           .opacity_low = 0.02,
-                                           .opacity_high = 0.2};
-    expect_agreement(ShDirection::ray, options, "poses, transparent, 90 surfels an actor");
+    expect_agreement(ShDirection::ray,
+                     {.seed = 43,
+                      .background_surfels = 60,
+                      .actor_surfels = 90,
+                      .actor_instances = 1,
+                      .rays = 40,
+                      .opacity_low = 0.02,
+                      .opacity_high = 0.2},
+                     "poses, transparent, 90 surfels an actor");
 }
 
 Scene make_background_and_actor(std::uint32_t n_background, std::uint32_t n_actor) {

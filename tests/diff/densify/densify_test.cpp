@@ -70,11 +70,7 @@ struct Case {
     DensifyReport run(int step) { return densifier.densify_surfels(stream, device_scene, adam, step); }
 };
 
-DensifyOptions make_adaptive_options() {
-    DensifyOptions options;
-    options.strategy = DensifyStrategy::adaptive;
-    return options;
-}
+DensifyOptions make_adaptive_options() { return {.strategy = DensifyStrategy::adaptive}; }
 
 std::vector<Fate> compute_expected_fates(const Case& test_case, int step) {
     std::vector<Fate> fates;

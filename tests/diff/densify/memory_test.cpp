@@ -27,17 +27,12 @@ struct Growing {
         for (float& x : scene.surfels.opacity_logit) x = 2.0f;
         return scene;
     }
-    static DensifyOptions options() {
-        DensifyOptions o;
-        o.strategy = DensifyStrategy::adaptive;
-        return o;
-    }
     Growing(Device& d, std::uint32_t count)
         : device(d),
           scene(make_opaque_scene(count)),
           device_scene(d, scene),
           adam(d, count, {}),
-          densifier(d, scene, options(), 0.0f, 1, 1),
+          densifier(d, scene, {.strategy = DensifyStrategy::adaptive}, 0.0f, 1, 1),
           stream(d) {
         adam.get_first_moments().upload(scene.surfels);
         adam.get_second_moments().upload(scene.surfels);

@@ -71,6 +71,14 @@ struct Placed {
         return rendered.download();
     }
 
+    shared::ForwardParams make_params(const Array<shared::RenderedRay>& rendered,
+                                      const Array<std::uint32_t, shared::PassCapCount>& pass_cap) const {
+        shared::ForwardParams params{};
+        params.scene = make_trace_scene_params(scene, accel, batch(), model, {}, pass_cap.address());
+        params.rendered = rendered.address();
+        return params;
+    }
+
     std::vector<shared::RenderedRay> render_lists(int capacity) {
         Device& device = stream.device();
         const Array<shared::RenderedRay> rendered(device, rays.size(), "rendered rays");
@@ -79,16 +87,7 @@ struct Placed {
         HitListTracer lists(
             device, get_traversal_kernel_variant(device),
             make_trace_kernel_constants(device, accel.get_proxy_shape_of_surfels(), {}, model), capacity);
-        shared::ForwardParams params = {
-            .scene = make_trace_scene_params(scene, accel, batch(), model, {}, pass_cap.address()),
-            .lists = {},
-            .rendered = rendered.address(),
-            .kept = {},
-            .n_overfull = {},
-            .surfaces = {},
-            .n_kept = 0,
-            .kept_in_lists = 0,
-            .surface_gap_m = 0.0f};
+        shared::ForwardParams params = make_params(rendered, pass_cap);
         stream.fill(rendered, kUntouched);
         lists.render_with_hit_lists(stream, batch(), params);
         stream.submit_and_wait();
@@ -270,17 +269,7 @@ TEST_F(Lists, Grow) {
     HitListTracer lists(device(), get_traversal_kernel_variant(device()), constants, 3);
     for (int i = 0; i < 30; ++i) {
         const Array<shared::RenderedRay> rendered(device(), c.rays.size(), "rendered rays");
-        const shared::TraceScene traced = make_trace_scene_params(placed.scene, placed.accel, placed.batch(),
-                                                                  placed.model, {}, pass_cap.address());
-        shared::ForwardParams params = {.scene = traced,
-                                        .lists = {},
-                                        .rendered = rendered.address(),
-                                        .kept = {},
-                                        .n_overfull = {},
-                                        .surfaces = {},
-                                        .n_kept = 0,
-                                        .kept_in_lists = 0,
-                                        .surface_gap_m = 0.0f};
+        shared::ForwardParams params = placed.make_params(rendered, pass_cap);
         lists.render_with_hit_lists(placed.stream, placed.batch(), params);
         run(placed.stream, trace, count_trace_threads(placed.batch()), params);
         placed.stream.submit_and_wait();

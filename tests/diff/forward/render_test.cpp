@@ -80,9 +80,7 @@ TEST_F(Forward, AgreesWithDoubleReference) {
     for (const auto& [direction, primitive] : {std::pair{ray, PrimitiveType::surfel},
                                                {surfel, PrimitiveType::surfel},
                                                {surfel, PrimitiveType::gaussian}}) {
-        reference::Settings settings;
-        settings.image.sh_direction = direction;
-        settings.image.primitive = primitive;
+        reference::Settings settings{.image = {.sh_direction = direction, .primitive = primitive}};
         // With SH along the surfel, the first instance of a model determines the
         // direction, so the actor has a single instance.
         const test::RandomSceneOptions options{.seed = 21,
@@ -142,9 +140,7 @@ TEST_F(Forward, MovedInstanceIsSeenWhereItStands) {
 /// probability (M6) becomes a sigmoid, and a ray without hits is dropped.
 TEST_F(Forward, SingleDropLogitAgreesWithDoubleReference) {
     for (const ShDirection direction : {ShDirection::ray, ShDirection::surfel}) {
-        reference::Settings settings;
-        settings.image.sh_direction = direction;
-        settings.image.single_drop_logit = true;
+        reference::Settings settings{.image = {.sh_direction = direction, .single_drop_logit = true}};
         const test::RandomSceneOptions options{.seed = 22, .actor_instances = 1, .rays = 100};
         const test::RandomScene scene = test::make_random_scene(options, settings);
         settings.view_origin = scene.view_origin;

@@ -80,9 +80,7 @@ FoundChamfer compute_device_chamfer(Device& device, const Clouds& clouds, const 
         rays[i * setting.stride] = clouds.rays[i];
         targets[i * setting.stride] = {clouds.measured[i], 0.5f, 1.0f};
     }
-    LossWeights weights;
-    weights.chamfer = 1.0f;
-    weights.normalised_depth = setting.normalised;
+    const LossWeights weights{.chamfer = 1.0f, .normalised_depth = setting.normalised};
     ChamferLoss loss(device, weights, static_cast<std::uint32_t>(n));
     Stream stream(device);
     const Array<shared::RenderedRay> r(device, rendered, "rendered");

@@ -59,9 +59,8 @@ TEST_F(ImageLossTest, AgreesWithReference) {
     for (const std::size_t n : {std::size_t(1), std::size_t(1000), std::size_t(1037)})
         for (const bool normalised : {false, true}) {
             const Data d = make_random_data(n, n);
-            LossWeights weights;
-            weights.normalised_depth = normalised;
-            weights.intensity_delta = normalised ? 0.2f : 0.0f;
+            const LossWeights weights{.normalised_depth = normalised,
+                                      .intensity_delta = normalised ? 0.2f : 0.0f};
             constexpr std::size_t kFloats = sizeof(shared::RayGradient) / sizeof(float);
             std::vector<reference::PixelGradient> expected;
             const reference::LossTerms terms = reference::evaluate_loss(

@@ -42,9 +42,7 @@ TEST_F(LikelihoodTerm, AgreesWithReference) {
     std::vector<shared::RayGradient> others(kRays);
     for (shared::RayGradient& g : others) g.depth = 3.0f;
     Array<shared::RayGradient> upstream(device(), others, "upstream");
-    LossWeights weights;
-    weights.likelihood = 0.7f;
-    weights.likelihood_floor = 0.02f;
+    const LossWeights weights{.likelihood = 0.7f, .likelihood_floor = 0.02f};
     LikelihoodLoss loss(device(), weights);
     Stream stream(device());
     loss.record_ray_losses(stream, {{}, &rendered, &upstream},

@@ -53,9 +53,7 @@ Result compute_device_ssim(Device& device, const Image& image, float share, std:
         target = i % 2 ? DeviceTarget{0.0f, 5.0f, 1.0f} : DeviceTarget{10.0f, 5.0f, 0.0f};
         if (image.is_known[i]) target = {10.0f, float(image.y[i]), 1.0f};
     }
-    LossWeights weights;
-    weights.intensity = 1.0f;
-    weights.intensity_ssim = share;
+    const LossWeights weights{.intensity = 1.0f, .intensity_ssim = share};
     ImageLoss loss(device, weights, static_cast<std::uint32_t>(n));
     Stream stream(device);
     const Array<shared::RenderedRay> r(device, rendered, "rendered");

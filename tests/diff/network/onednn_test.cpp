@@ -50,12 +50,9 @@ protected:
 
 ImageBatch pad_images(const ImageBatch& images, int margin) {
     ImageBatch result(images.n, images.channels, images.rows, images.columns + 2 * margin);
-    for (int image = 0; image < images.n; ++image)
-        for (int c = 0; c < images.channels; ++c)
-            for (int y = 0; y < images.rows; ++y)
-                for (int x = 0; x < result.columns; ++x)
-                    result.at(image, c, y, x) =
-                        images.at(image, c, y, (x - margin + images.columns) % images.columns);
+    result.for_each([&](int image, int c, int y, int x) {
+        result.at(image, c, y, x) = images.at(image, c, y, (x - margin + images.columns) % images.columns);
+    });
     return result;
 }
 
@@ -63,24 +60,19 @@ ImageBatch pad_images(const ImageBatch& images, int margin) {
 /// the columns from which they were copied.
 ImageBatch folded(const ImageBatch& images, int margin) {
     ImageBatch result(images.n, images.channels, images.rows, images.columns - 2 * margin);
-    for (int image = 0; image < images.n; ++image)
-        for (int c = 0; c < images.channels; ++c)
-            for (int y = 0; y < images.rows; ++y)
-                for (int x = 0; x < images.columns; ++x)
-                    result.at(image, c, y, (x - margin + result.columns) % result.columns) +=
-                        images.at(image, c, y, x);
+    images.for_each([&](int image, int c, int y, int x) {
+        result.at(image, c, y, (x - margin + result.columns) % result.columns) += images.at(image, c, y, x);
+    });
     return result;
 }
 
 /// Removes `margin` columns on both sides, or adds zeros if `margin` is negative.
 ImageBatch crop_images(const ImageBatch& images, int margin) {
     ImageBatch result(images.n, images.channels, images.rows, images.columns - 2 * margin);
-    for (int image = 0; image < images.n; ++image)
-        for (int c = 0; c < images.channels; ++c)
-            for (int y = 0; y < images.rows; ++y)
-                for (int x = 0; x < result.columns; ++x)
-                    if (x + margin >= 0 && x + margin < images.columns)
-                        result.at(image, c, y, x) = images.at(image, c, y, x + margin);
+    result.for_each([&](int image, int c, int y, int x) {
+        if (x + margin >= 0 && x + margin < images.columns)
+            result.at(image, c, y, x) = images.at(image, c, y, x + margin);
+    });
     return result;
 }
 

@@ -79,13 +79,10 @@ private:
         if (below.channels == 0) return skip;
         const ImageBatch larger = reference::upsample(below, skip.rows, skip.columns);
         ImageBatch result(skip.n, below.channels + skip.channels, skip.rows, skip.columns, skip.circular);
-        for (int image = 0; image < skip.n; ++image)
-            for (int c = 0; c < result.channels; ++c)
-                for (int y = 0; y < skip.rows; ++y)
-                    for (int x = 0; x < skip.columns; ++x)
-                        result.at(image, c, y, x) = c < below.channels
-                                                        ? larger.at(image, c, y, x)
-                                                        : skip.at(image, c - below.channels, y, x);
+        result.for_each([&](int image, int c, int y, int x) {
+            result.at(image, c, y, x) =
+                c < below.channels ? larger.at(image, c, y, x) : skip.at(image, c - below.channels, y, x);
+        });
         return result;
     }
 };

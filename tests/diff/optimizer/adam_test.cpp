@@ -11,7 +11,6 @@
 #include "gpu/forced.hpp"
 
 #include "../../support/device.hpp"
-#include "diff/shared/optimizer.h"
 #include "gpu/stream.hpp"
 
 namespace relidar {
@@ -206,50 +205,6 @@ TEST_P(AdamThreads, AgreeWithAdamInDouble) {
                                    EXPECT_NEAR(result, s.value, 2e-6 * (1.0 + std::abs(s.value)));
                                });
     }
-}
-
-/// Vulkan guarantees only 65535 workgroups in a dimension. A larger launch must still
-/// process the last row.
-TEST_F(AdamTest, MoreRowsThanOneDimensionOfWorkgroups) {
-    const std::uint32_t n = 2200000;
-    const Kernel<shared::AdamParams> kernel(device(), "diff/optimizer/adam");
-    Array<float, shared::AdamValues> value(device(), n, "value");
-    Array<float, shared::AdamGradients> gradient(device(), n, "gradient");
-    Array<float, shared::FirstMoments> m(device(), n, "m");
-    Array<float, shared::SecondMoments> v(device(), n, "v");
-    Stream stream(device());
-    for (const Buffer* array : {&value.buffer(), &m.buffer(), &v.buffer()}) stream.fill(*array);
-    stream.fill(gradient, 0x3f800000u);  // 1
-    run(stream, kernel, n,
-        {.values = value.address(),
-         .gradients = gradient.address(),
-         .moment1 = m.address(),
-         .moment2 = v.address(),
-         .touched = {},
-         .rows = {},
-         .n_listed = {},
-         .bounds = {},
-         .model_scale = {},
-         .models = {},
-         .learning_rate = 1.0f,
-         .beta1 = 0.9f,
-         .beta2 = 0.999f,
-         .epsilon = 1e-15f,
-         .correction1 = 10.0f,
-         .correction2 = 1000.0f,
-         .first_scale = 1.0f,
-         .block_scale = 1.0f,
-         .n_models = 0,
-         .first_row = 0,
-         .n_rows = n,
-         .stride = 1,
-         .block = 1,
-         .n_blocks = 1,
-         .n_active = 1});
-    stream.submit_and_wait();
-    const std::vector<float> values = value.download();
-    EXPECT_EQ(std::count_if(values.begin(), values.end(), [](float x) { return std::abs(x + 1.0f) < 1e-4f; }),
-              std::ptrdiff_t(n));
 }
 
 TEST(Schedule, IsExponentialBetweenItsEnds) {

@@ -3,8 +3,9 @@
 // query over triangles and boxes, the software tree with a thread or a subgroup per ray,
 // and brute force. Compares with brute force and Embree on the host.
 #include "device_hits.hpp"
-#include "diff/traversal/collect_hits.hpp"
+#include "diff/traversal/trace_scene.hpp"
 #include "gpu/forced.hpp"
+#include "gpu/stream.hpp"
 
 namespace relidar {
 namespace {
@@ -19,11 +20,20 @@ protected:
     CollectedHits collect(const TraversalCase& test_case, const AccelOptions& accel,
                           const TraceOptions& trace) {
         const test::SceneAndPoses placed = test::to_scene(test_case.surfels, test_case.instances);
-        ImageFormationModel model;
-        model.primitive = test_case.surfels.primitive;
+        const ImageFormationModel model{.primitive = test_case.surfels.primitive};
+        Stream stream(device());
+        DeviceScene scene(device(), placed.scene);
+        scene.upload_instance_poses_and_wait(placed.world_from_instance);
+        AccelerationStructure structure(device(), scene, accel);
+        scene.record_activation_of_surfel_parameters(stream, model, glm::vec3(0.0f));
+        structure.record_bvh_refit_or_build(stream, scene);
+        stream.submit_and_wait();
         return test::convert_to_world(
-            collect_ray_hits(device(), {&placed.scene, placed.world_from_instance, model, accel, trace},
-                             test_case.rays, kMaxHits),
+            collect_ray_hits(
+                device(), get_traversal_kernel_variant(device()),
+                make_trace_kernel_constants(device(), structure.get_proxy_shape_of_surfels(), trace, model),
+                make_trace_scene_params(scene, structure.get_device_addresses(), model), test_case.rays,
+                kMaxHits),
             placed);
     }
     void expect_conformance(const std::vector<TraversalCase>& cases);

@@ -7,7 +7,6 @@
 #include <random>
 
 #include <relidar/diff/accel.hpp>
-#include "collect.hpp"
 #include "device_hits.hpp"
 #include "diff/traversal/collect_hits.hpp"
 #include "diff/traversal/trace_scene.hpp"
@@ -28,26 +27,14 @@ int get_many_count() {
 void fill_with_invalid_values(Surfels& surfels) {
     constexpr float kNan = std::numeric_limits<float>::quiet_NaN(),
                     kInf = std::numeric_limits<float>::infinity();
-    for (std::size_t i = 0; i < surfels.size(); i += 40) switch (i / 40 % 6) {
-            case 0:
-                surfels.mean[i].y = kNan;
-                break;
-            case 1:
-                surfels.mean[i].x = -kInf;
-                break;
-            case 2:
-                surfels.rotation[i] = glm::vec4(0.0f);
-                break;
-            case 3:
-                surfels.log_scale[i].x = -kInf;
-                break;
-            case 4:
-                surfels.opacity_logit[i] = kNan;
-                break;
-            default:
-                surfels.opacity_logit[i] = -1e4f;
-                break;
-        }
+    for (std::size_t i = 0; i < surfels.size(); i += 40) {
+        const std::size_t kind = i / 40 % 6;
+        if (kind == 0) surfels.mean[i].y = kNan;
+        else if (kind == 1) surfels.mean[i].x = -kInf;
+        else if (kind == 2) surfels.rotation[i] = glm::vec4(0.0f);
+        else if (kind == 3) surfels.log_scale[i].x = -kInf;
+        else surfels.opacity_logit[i] = kind == 4 ? kNan : -1e4f;
+    }
 }
 
 /// Changes surfels like large steps of an optimiser.
@@ -79,7 +66,7 @@ protected:
 
     CollectedHits collect(const DeviceScene& scene, const AccelerationStructure& accel,
                           const TraceOptions& options) {
-        return test::collect(
+        return collect_ray_hits(
             device(), get_traversal_kernel_variant(device()),
             make_trace_kernel_constants(device(), accel.get_proxy_shape_of_surfels(), options, model_),
             make_trace_scene_params(scene, accel.get_device_addresses(), model_), case_.rays, 64);

@@ -2,10 +2,10 @@
 // Tests the tree traversal of software_bvh.glsl on trees that are built on the host. The
 // test does not depend on the device's tree builder.
 #include "../../support/host_bvh.hpp"
-#include "collect.hpp"
 #include "device_hits.hpp"
 #include "diff/traversal/collect_hits.hpp"
 #include "diff/traversal/trace_scene.hpp"
+#include "gpu/stream.hpp"
 
 namespace relidar {
 namespace {
@@ -19,8 +19,7 @@ protected:
         Stream stream(device());
         DeviceScene scene(device(), placed.scene);
         scene.upload_instance_poses_and_wait(placed.world_from_instance);
-        ImageFormationModel model;
-        model.primitive = test_case.surfels.primitive;
+        const ImageFormationModel model{.primitive = test_case.surfels.primitive};
         scene.record_activation_of_surfel_parameters(stream, model, glm::vec3(0.0f));
         stream.submit_and_wait();
         const test::HostBvh bvh(device(), scene);
@@ -30,8 +29,8 @@ protected:
         const std::vector<SpecialisationConstant> constants{{SpecialisationConstantId::CHUNK, chunk},
                                                             {SpecialisationConstantId::TOGETHER, packet},
                                                             {SpecialisationConstantId::PRIMITIVE, primitive}};
-        return test::convert_to_world(test::collect(device(), KernelVariant("@software_bvh"), constants,
-                                                    trace, test_case.rays, test::kMaxHits),
+        return test::convert_to_world(collect_ray_hits(device(), KernelVariant("@software_bvh"), constants,
+                                                       trace, test_case.rays, test::kMaxHits),
                                       placed);
     }
 };
