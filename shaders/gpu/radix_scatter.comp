@@ -1,14 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 // Last of three kernels of a radix sort pass. Moves each key behind all keys with smaller
-// digits and behind earlier keys with the same digit.
-//
-// A workgroup of 256 threads processes a tile of 4096 keys. Each subgroup processes a
-// contiguous part of the tile. In each round, ballots compute the rank of one key per
-// lane, so that keys with equal digits keep their order. With more than 32 subgroups (of
-// 4 lanes), two subgroups share their counters and run one after the other.
-//
-// Input: n_keys, keys, order, counts, totals. Output: sorted_keys, sorted_order. Minimum
-// traffic: key and order are read and written once.
+// digits and behind earlier keys with the same digit. A workgroup of 256 threads
+// processes a tile of 4096 keys, each subgroup a contiguous part of it. Ballots compute
+// the rank of one key per lane, so that keys with equal digits keep their order. With
+// more than 32 subgroups (of 4 lanes), two subgroups share their counters and run one
+// after the other.
+// Input: n_keys, keys, order, counts, totals. Output: sorted_keys, sorted_order.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../base/kernel.glsl"
@@ -51,13 +48,10 @@ uvec2 find_lanes_with_same_digit(bool valid, uint digit) {
     return peers;
 }
 
-/// Computes the rank of each key in this subgroup's part of the tile. The rank is the
-/// number of earlier keys with the same digit in the same row of counters. Also counts
-/// the keys. Every subgroup must call this function, because a subgroup barrier waits for
-/// all subgroups on lavapipe.
-/// @param first_key first key of this lane
-/// @param key_count total number of keys
-/// @param counter_row row of counters
+/// Computes the rank of each key in this subgroup's part of the tile (number of earlier
+/// keys with the same digit in the same row of counters), and counts the keys. Every
+/// subgroup must call this function, because a subgroup barrier waits for all subgroups
+/// on lavapipe.
 /// @param ranks_now true if this subgroup ranks its keys in this call
 void compute_key_ranks_in_subgroup(uint first_key, uint key_count, uint counter_row, bool ranks_now) {
     for (uint r = 0u; r < ROUNDS; ++r) {

@@ -1,11 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 // Implements traversal with Embree on a two-level scene with two bounding triangles per
-// surfel (M3). For every triangle along the ray, the filter callback intersects the
-// surfel (M1, M2) and keeps the nearest `chunk` hits. Embree's t only shortens the ray,
-// with a margin of twice the largest triangle pair. This is safe because the ray hits
-// triangle and surfel inside the same pair. Each moving model has a separate scene
-// outside the top-level scene. The ray is traced there in the model's frame at the ray's
-// time.
+// surfel (M3). The filter callback intersects the surfel of every triangle along the ray
+// (M1, M2) and keeps the nearest `chunk` hits. Embree's t only shortens the ray, with a
+// margin of twice the largest triangle pair. Each moving model has a separate scene,
+// where the ray is traced in the model's frame at its time.
 #if __has_include(<embree4/rtcore.h>)
 #include <embree4/rtcore.h>
 #else

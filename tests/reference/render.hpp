@@ -1,9 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Implements image formation of the reference in double precision. It blends along a ray
-// (M4), computes outputs (M5), and computes gradients (M7, M8) with respect to surfel
-// parameters, the ray, the view origin and instance poses. Hits are read from any
-// HitProvider, which determines their order and which surfels are skipped. This file
-// evaluates t, u, v and alpha again in double.
+// Implements image formation of the reference in double precision: blending along a ray
+// (M4), outputs (M5), and gradients (M7, M8) with respect to surfel parameters, the ray,
+// the view origin and instance poses. Hits are read from any HitProvider.
 #pragma once
 
 #include <cstdint>

@@ -1,10 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 // Implements a surfel in double precision from docs/method.md: activations (section 2),
-// real spherical harmonics of degree 3, the ray-surfel intersection (M1) and its opacity
-// (M2), or the intersection and opacity of a 3D Gaussian (M9). As a part of the
-// reference, it must not include shaders/ or src/.
-// `intersect_in_float` is the same formula in single precision, in the form of the
-// shader, so that hit ids of any traversal can be compared exactly.
+// real spherical harmonics of degree 3, intersection (M1) and opacity (M2), or those of a
+// 3D Gaussian (M9). Must not include shaders/ or src/. `intersect_in_float` is the same
+// formula in single precision, in the form of the shader, so that hit ids can be compared
+// exactly.
 #pragma once
 
 #include <algorithm>

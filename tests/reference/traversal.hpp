@@ -1,9 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Defines in C++ what a method to find hits must return (docs/architecture.md section 6):
-// "at most `chunk` surfels strictly after a key, ascending by (t, instance, surfel), each
-// at most once". BruteForce tests every surfel. EmbreeFilter gets candidates from Embree
-// through bounding triangles (M3). Both compute intersections with surfel.hpp, in float
-// (ids comparable with the GPU) or in double.
+// Defines in C++ what a method to find hits must return (docs/architecture.md section 6).
+// BruteForce tests every surfel. EmbreeFilter gets candidates from Embree through
+// bounding triangles (M3). Both use surfel.hpp, in float (ids comparable with the GPU) or
+// in double.
 #pragma once
 
 #include <cstdint>

@@ -1,9 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Provides a device per test process. RELIDAR_TEST_TRAVERSAL selects the traversal
-// (ray_query or software). ctest runs the suites that trace rays once with each
-// traversal. Without the variable, the default traversal is used. If the machine has no
-// device, tests are skipped, or fail if RELIDAR_REQUIRE_GPU=1 (CI). A validation message
-// fails the test in which it appears.
+// (ray_query or software). Without a device, tests are skipped, or fail if
+// RELIDAR_REQUIRE_GPU=1. A validation message fails the test in which it appears.
 #pragma once
 
 #include <gtest/gtest.h>

@@ -1,9 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Compares gradients with central differences, row by row. A row is a parameter of a
 // surfel (mean [3], rotation [4], ...). The error of a row is |difference - analytic|
-// divided by the row's norm. The table reports the worst row of each group and the number
-// of nonzero rows. The tests of the reference's gradients and of the device's gradients
-// use this file (docs/architecture.md section 9).
+// divided by the row's norm (docs/architecture.md section 9).
 #pragma once
 
 #include <algorithm>

@@ -1,9 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Makes random scenes with a fixed seed for tests of values and gradients. A margin is
-// the minimum distance of every ray to each discontinuity of the image: alpha cut and
-// clamp, near plane, order of equal t, T_min stop, intensity clamp, and grazing surfels.
-// Therefore central differences and single precision evaluate the same smooth function as
-// the double reference (docs/architecture.md section 9).
+// the minimum distance of every ray to each discontinuity of the image, so that central
+// differences and single precision evaluate the same smooth function as the double
+// reference (docs/architecture.md section 9).
 #pragma once
 
 #include <cstdint>

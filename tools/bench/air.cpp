@@ -59,11 +59,9 @@ struct SimulatedRayRanges {
 };
 
 /// Returns the distance of each point to the nearest surface of the street at the firing
-/// time of its ray. Returns infinity if no test ray hits a surface. Surfaces of the
-/// street are one-sided, and a point may be some millimetres behind a surface. Therefore
-/// test rays are cast from the point in all directions, and also back to the point from
-/// all directions. The rays back to the point start at two distances: kOnSurface_m and
-/// kFar_m.
+/// time of its ray, or infinity. Surfaces are one-sided, and a point may be some
+/// millimetres behind a surface. Therefore test rays are cast from the point in all
+/// directions, and back to it from kOnSurface_m and kFar_m.
 std::vector<float> compute_point_to_street_distances(const StreetScanSetup& street_scan,
                                                      const SimulatedRayRanges& simulated_ranges,
                                                      const std::vector<std::size_t>& ray_indices) {

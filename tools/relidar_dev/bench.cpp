@@ -116,7 +116,7 @@ void run_bench_command(const BenchOptions& options, const std::string& command_l
     } else {
         const DevCase bench = make_benchmark_from_options(options.choice);
         BenchResult result = run_benchmark(device, bench, settings);
-        // The copy bandwidth is measured last, when the memory of the scene is free again.
+        // Measured last, when the memory of the scene is free again.
         result.copy_bytes_per_s = measure_copy_bandwidth_bytes_per_s(device);
         end_progress_line();
         text = format_bench_result(bench, result, device);

@@ -1,9 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Computes a lower bound for the time of each kernel. Each kernel must read or write a
-// minimum number of bytes. The bound is this number divided by the measured copy
-// bandwidth of the device. It ignores latency, divergence, arithmetic, and repeated loads
-// because of a small cache. A kernel far above its bound can be improved most. A kernel
-// can be faster than its bound if all data fit into the caches.
+// Computes a lower bound for the time of each kernel: the number of bytes that it must
+// read or write, divided by the measured copy bandwidth of the device. Ignores latency,
+// divergence, arithmetic and repeated loads. A kernel can be faster than its bound if all
+// data fit into the caches.
 #pragma once
 
 #include <cstdint>

@@ -43,34 +43,22 @@ struct DeviceGradients {
     /// GradientSelection::rays is false.
     Array<float, shared::DeviceRayGradients> rays;
 
-    /// Pose gradients of the instances, [instances,6]: dL/d(v, w) at 0. v is a
-    /// translation in metres and w a rotation in radians, both in world axes. The pose
-    /// world_from_model = (R, T) becomes (exp([w]x) R, T + v), so w rotates the model
-    /// about its origin. Row 0 belongs to the background, whose pose is never refined. A
-    /// row is exactly 0 if the instance is absent or no ray with a gradient hits it. With
-    /// ShDirection::surfel, SH directions contribute only to the first instance of a
-    /// model, because the SH are evaluated for that instance. Empty if
+    /// Pose gradients of the instances, [instances,6]: dL/d(v, w) at 0, with a
+    /// translation v (m) and a rotation w (rad) in world axes. world_from_model = (R, T)
+    /// becomes (exp([w]x) R, T + v). Row 0 (the background) is never refined. A row is
+    /// exactly 0 if no ray with a gradient hits the instance. With ShDirection::surfel,
+    /// SH directions contribute only to the first instance of a model. Empty if
     /// GradientSelection::poses is false.
-    ///
-    /// An instance that moves during the sweep has the pose P(t) = (R(t), T(t)). R is the
-    /// rotation of the pose that was set. The gradient is the exact derivative of one
-    /// correction: P(t) becomes P(t) * (exp([R^T w]x), R^T v). This correction moves the
-    /// model by the same amount in its own axes at all times of the sweep. The gradient
-    /// does not describe a change of the velocity or the turn rate.
+    /// For an instance that moves during the sweep, P(t) becomes P(t) * (exp([R^T w]x),
+    /// R^T v), with the rotation R of the pose that was set. The gradient does not
+    /// describe a change of velocity.
     Array<float, shared::InstancePoseGradients> poses;
     /// Pose gradient of the sensor, [6]: dL/d(v, w) at 0. All rays of the batch move as
-    /// one rigid body: origin' = c + exp([w]x) (origin - c) + v and direction' =
-    /// exp([w]x) direction. The centre c = view_origin_m moves with the rays. With a
-    /// rolling shutter, all rays of the frame share this one correction. Empty if
-    /// GradientSelection::poses is false.
-    ///
-    /// The gradient is exact if no instance moves during the sweep. For a moving
-    /// instance, all its rays are treated as if the instance had the pose that was set.
-    /// The gradient for v is then still exact if the instance moves without turning.
-    /// Otherwise the contribution of the instance is rotated by the angle that the
-    /// instance turns between that pose and each ray. In the gradient for w, the distance
-    /// travelled in that time adds another error. The gradients in `rays` are always
-    /// exact.
+    /// one rigid body: origin' = c + exp([w]x) (origin - c) + v, direction' = exp([w]x)
+    /// direction, with c = view_origin_m. Empty if GradientSelection::poses is false.
+    /// Exact if no instance moves during the sweep. A moving instance is treated as if it
+    /// had the pose that was set: v stays exact if it does not turn. The gradients in
+    /// `rays` are always exact.
     Array<float, shared::SensorPoseGradient> sensor;
 
     /// @param n_rays number of rays of the largest batch

@@ -70,18 +70,13 @@ public:
     void record_gradient_statistics_update(Stream& stream, const DeviceScene& scene,
                                            const BackpropagatedBatch& batch);
     bool should_densify_after_step(int step) const;
-    /// Adds and removes surfels. Each model stays a contiguous range in which surfels
-    /// keep their order. A copied surfel is stored next to its original. Surviving
-    /// surfels keep their Adam moments. New surfels, and surfels with a changed opacity
-    /// or scale, start with zero moments. All statistics are reset. The function waits
-    /// for the GPU once, to read the new number of surfels of each model. Afterwards, the
-    /// caller must create the gradient arrays and the acceleration structure again,
-    /// because they still have the old number of surfels.
-    ///
-    /// Insufficient memory is not an error. In that case, no more surfels are added, and
-    /// the report contains one note about it.
-    /// @param reserved_bytes_per_surfel bytes per surfel that other objects will allocate
-    /// again for the new number of surfels. Densification leaves this memory free.
+    /// Adds and removes surfels. Surfels keep their order, and a copy is stored next to
+    /// its original. Surviving surfels keep their Adam moments; new and changed surfels
+    /// start with zero. All statistics are reset. Waits for the GPU once. Afterwards, the
+    /// caller must create the gradient arrays and the acceleration structure again.
+    /// If memory is short, no more surfels are added, and one report has a note about it.
+    /// @param reserved_bytes_per_surfel memory that densification leaves free for other
+    /// objects
     DensifyReport densify_surfels(Stream& stream, DeviceScene& scene, Adam& adam, int step,
                                   double reserved_bytes_per_surfel = 0.0);
     /// Records GPU commands that reset the opacities of all surfels, if a reset is

@@ -60,10 +60,9 @@ public:
     const Renderer& renderer() const;
 
     /// Computes the gradients of a loss over the rays that Renderer::render_rays()
-    /// rendered last. Waits for the GPU. Poses, view and parameters must not have changed
+    /// rendered last. Waits for the GPU. Poses, view and parameters must be unchanged
     /// since then.
-    /// @param rendered_gradients dL/d(rendered), arrays with one entry per ray, or empty
-    /// arrays
+    /// @param rendered_gradients dL/d(rendered), one entry per ray, or empty arrays
     /// @throws UsageError if nothing was rendered before
     /// @throws DataError if an array has the wrong number of entries
     HostGradients compute_gradients(const RenderedGradients& rendered_gradients);
@@ -79,11 +78,10 @@ public:
     BackwardPass& backward_pass();
 
     /// Calls `change_surfels`, which adds or removes surfels. Waits until the stream is
-    /// idle, and frees all memory that depends on the number of surfels before the call.
-    /// Allocates this memory again after the call. The caller must call
-    /// Renderer::record_scene_update_for_view() next.
-    /// @param change_surfels receives the size of the freed memory that will be allocated
-    /// again, in bytes per surfel
+    /// idle, frees all memory that depends on the number of surfels, and allocates it
+    /// again afterwards. The caller must call Renderer::record_scene_update_for_view()
+    /// next.
+    /// @param change_surfels receives the bytes per surfel that will be allocated again
     void change_surfels_and_reallocate_memory(
         const std::function<void(double reserved_bytes_per_surfel)>& change_surfels);
 

@@ -131,12 +131,10 @@ using RayDropTrainCallback = std::function<bool(const RayDropTrainProgress& prog
 
 /// Trains a ray-drop network on images of equal shape. The same seed gives a
 /// bit-identical network on the same device.
-/// @param resume_state state from which training resumes. It must come from a training
-/// with the same images, options and seed. Null = start from the beginning
-/// @throws DataError if the images have different shapes, are too small, have values that
-/// are not finite, or have no dropped pixels
-/// @throws DataError if `resume_state` belongs to another network or has more steps than
-/// the training
+/// @param resume_state state of a training with the same images, options and seed, or
+/// null
+/// @throws DataError if the images have different shapes, are too small, are not finite
+/// or have no dropped pixels, or if `resume_state` belongs to another training
 /// @throws DeviceError if the device cannot run the layers of the network
 RayDropNetwork train_ray_drop_network(Device& device, const std::vector<RayDropImage>& images,
                                       const RayDropNetworkOptions& options, std::uint64_t seed,

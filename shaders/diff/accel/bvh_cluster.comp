@@ -3,17 +3,12 @@
 // Parallel Locally-Ordered Clustering", 2024).
 //
 // A radix tree over the sorted keys determines which neighbouring ranges are joined (as
-// in Apetrei 2014, with the ends of ranges exchanged at splits). Two ranges have at most
-// 32 clusters together. A join reduces them to at most 16 by merging mutual nearest
-// neighbours, searched among 8 clusters on either side.
-//
-// One thread per sorted position. The second thread that reaches a split continues
-// upwards, and all lanes of its subgroup join the ranges. A workgroup is one subgroup,
-// because a subgroup barrier stops the full workgroup on lavapipe. Nodes are numbered by
-// sorted positions, so that builds are repeatable.
-//
-// Input: boxes, keys, surfels, models. Output: tree, roots. At least 36 B read per
-// surfel, 68 B written and read per node, 500 box unions per surfel.
+// in Apetrei 2014). A join reduces the at most 32 clusters of two ranges to at most 16 by
+// merging mutual nearest neighbours, searched among 8 clusters on either side. One thread
+// per sorted position. The second thread that reaches a split continues upwards. A
+// workgroup is one subgroup, because a subgroup barrier stops the full workgroup on
+// lavapipe. Nodes are numbered by sorted positions, so that builds are repeatable.
+// Input: boxes, keys, surfels, models. Output: tree, roots.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"

@@ -1,16 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
-// Computes the boxes of all tree nodes from the boxes of the surfels, bottom up. Runs
-// after a build and after surfels have moved. Can process only some of the models.
+// Computes the boxes of all tree nodes from the boxes of the surfels, bottom up, for all
+// or some of the models.
 //
-// Eight lanes of a subgroup process one node, one child per lane. In subgroups of four
-// lanes, each lane processes two children. This balances the work, because nodes differ
-// in their number of surfels. The nodes without inner children are distributed over the
-// groups of lanes and processed first. The group that finishes the last child of a parent
-// continues with the parent.
-//
+// Eight lanes of a subgroup process one node, one child per lane (in subgroups of four
+// lanes, two children). Nodes without inner children are processed first. The group that
+// finishes the last child of a parent continues with the parent.
 // Input: boxes, topology of wide. Output: origin, exponents and child boxes of the nodes,
-// wide.boxes. Memory traffic: at least 28 B read per surfel, 28 B read and 104 B written
-// per node.
+// wide.boxes.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"

@@ -1,13 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// Builds the top-level tree over the instances. Computes their world boxes and sorts them
-// along a space-filling curve. Then groups eight elements at a time into a node, level by
-// level. Leaves out absent instances and instances without any surfel that can be hit. A
-// tree without instances consists of one empty node.
-//
-// Uses one workgroup of 256 threads, because a scene has at most hundreds of instances.
-// Input: instances, model_of, models, model_boxes. Output: roots, top_nodes,
-// top_order. Memory traffic: at least 112 B read per instance. The sort takes n log^2 n
-// steps.
+// Builds the top-level tree over the instances that can be hit. Sorts their world boxes
+// along a space-filling curve, then groups eight elements at a time into a node, level by
+// level. A tree without instances is one empty node. One workgroup of 256 threads,
+// because a scene has at most hundreds of instances.
+// Input: instances, model_of, models, model_boxes. Output: roots, top_nodes, top_order.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"

@@ -1,9 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Second of five kernels that convert binary trees to trees of wide nodes (up to eight
-// children). Each binary node that becomes a wide node needs space for its inner children
-// and leaf entries. Computes prefix sums of these numbers within tiles of 4096 binary
-// nodes. Workgroups of 256 threads. Input: demands. Output: offsets within the tile, sums
-// of the tiles.
+// Second of five kernels that convert binary trees to trees of wide nodes. Computes
+// prefix sums of the space that each wide node needs, within tiles of 4096 binary nodes.
+// Workgroups of 256 threads. Input: demands. Output: offsets within the tile, sums of the
+// tiles.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"

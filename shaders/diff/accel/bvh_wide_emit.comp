@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Last of five kernels that convert binary trees to trees of wide nodes (up to eight
-// children). Writes the children and the leaf entries of each wide node. Kernel
-// accel/bvh_refit computes the boxes afterwards. One thread per wide node in the queue.
+// Last of five kernels that convert binary trees to trees of wide nodes. Writes their
+// children and leaf entries, but not the boxes. One thread per wide node in the queue.
 // Input: tree, queue, slots, offsets, tiles, places, surfels, models. Output: wide.nodes,
 // wide.order, wide.links.
 #version 460

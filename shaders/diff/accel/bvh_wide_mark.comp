@@ -1,17 +1,15 @@
 // SPDX-License-Identifier: Apache-2.0
 // First of five kernels that convert binary trees to trees of wide nodes (up to eight
 // children). Starts at the roots, chooses the children of each wide node, and appends
-// children that become wide nodes to a queue.
-//
-// One launch processes one level. The last launch is a single workgroup that processes
-// all remaining levels. Threads append to the queue in arbitrary order, but the set of
-// nodes in the queue is the same in every run. One thread per wide node in the queue.
+// children that become wide nodes to a queue. One launch processes one level; the last
+// launch is a single workgroup that processes all remaining levels. The set of queued
+// nodes is the same in every run, not their order. One thread per wide node in the queue.
 // Input: tree. Output: queue, slots, level_sizes, demands.
 //
 // A wide child that fits into its parent is always replaced by its children. Therefore
 // child and parent together have at least 10 slots, and a wide node without wide children
 // has at least 5 surfels. Thus n surfels need at most n / 4 wide nodes in addition to the
-// root. Memory traffic: at least 12 B read per binary node, 40 B written per wide node.
+// root.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"

@@ -1,9 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Fourth of five kernels that convert binary trees to trees of wide nodes (up to eight
-// children). Assigns consecutive indices to the inner children of each wide node, after
-// the indices of the roots. Indices follow the order of the binary nodes, so that the
-// result is the same in every run. One thread per wide node in the queue. Input: queue,
-// slots, offsets, tiles. Output: places.
+// Fourth of five kernels that convert binary trees to trees of wide nodes. Assigns
+// consecutive indices to the inner children of each wide node, in the order of the binary
+// nodes. One thread per wide node in the queue. Input: queue, slots, offsets, tiles.
+// Output: places.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"

@@ -1,17 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
-// Computes the proxy geometry of every surfel (docs/method.md M3, Fig. 3). The proxy
-// encloses all points with sigma G >= alpha_min. It is a rectangle for surfels, an
-// icosahedron for 3D Gaussians, or an axis-aligned box for both. One thread per surfel of
-// a range.
+// Computes the proxy geometry of every surfel (docs/method.md M3, Fig. 3), which encloses
+// all points with sigma G >= alpha_min: a rectangle (4 corners) for surfels, an
+// icosahedron (12 corners) for 3D Gaussians, or an axis-aligned box for both. One thread
+// per surfel of a range. Input: records. Maximum: reach. Output: vertices or boxes, in
+// the model frame.
 //
-// Input: records. Maximum: reach. Output: vertices or boxes, in the model frame. A
-// rectangle has two triangles and four corners, an icosahedron has twenty triangles and
-// twelve corners.
-//
-// Surfels that cannot be hit get a proxy of zero area at their mean. Their coordinates
-// are never NaN, because a NaN would corrupt neighbouring boxes in the tree. In the
-// software tree, such surfels get an empty box (low above high). All other boxes grow by
-// the rounding error of their mean, which matters far from the origin.
+// Surfels that cannot be hit get a proxy of zero area at their mean, never NaN, because a
+// NaN would corrupt neighbouring boxes in the tree. In the software tree they get an
+// empty box (low above high). All other boxes grow by the rounding error of their mean.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"

@@ -1,13 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 // Adds one row of 16 floats per lane to the rows of an array, with atomics. Each lane may
-// add its row alone. With COALESCED_ATOMICS, the lanes exchange rows through shared
-// memory, and neighbouring lanes add neighbouring floats of one row.
-//
-// The exchange is faster on GPUs, because the rays of a subgroup rarely hit the same
-// surfel. Without the exchange, each of 16 instructions touches one cache sector per
-// lane. With the exchange, the same additions touch two sectors per row.
-//
-// Include this file after kernel.glsl and atomic_add.glsl.
+// add its row alone. With COALESCED_ATOMICS, lanes exchange rows through shared memory,
+// and neighbouring lanes add neighbouring floats of one row. This is faster on GPUs: two
+// cache sectors per row instead of one per lane and instruction. Include this file after
+// kernel.glsl and atomic_add.glsl.
 #ifndef RELIDAR_INCLUDED_DIFF_BACKWARD_ADD_ROW_GLSL
 #define RELIDAR_INCLUDED_DIFF_BACKWARD_ADD_ROW_GLSL
 #extension GL_KHR_shader_subgroup_basic : require

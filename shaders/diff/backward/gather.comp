@@ -1,12 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Sums the gradients of hits by surfel without atomics, in the order of the rays, so that
-// the result is the same in every run. The hits are sorted by gradient row (one row per
-// surfel and instance).
-//
-// Each thread processes a block of 32 hits. It adds the sums of rows that lie completely
-// within its block. Partial sums of rows that extend over several blocks are stored in
-// `parts`, and kernel backward/gather_heads adds them later.
-//
+// the result is the same in every run. The hits are sorted by gradient row. Each thread
+// processes a block of 32 hits. Kernel backward/gather_heads adds the sums of rows that
+// extend over several blocks (`parts`).
 // Input: scene, upstream, hits, rows, slots, n_hits. Accumulated: d_records, d_sh.
 // Output: parts. Maximum: most_hits.
 #version 460
@@ -41,11 +37,9 @@ uint add_hit_gradient_and_get_instance(TraceScene scene, uint sorted_hit, uint g
 }
 
 /// Adds this block's sum of a row to the result. If the row also has hits in other
-/// blocks, only stores the sum. Kernel backward/gather_heads then adds all stored sums of
-/// the row. Two instances may share SH coefficients. Then one addition per instance gives
-/// a repeatable result, but more additions do not.
-/// @param starts_in_block true if the row has no hits in earlier blocks
-/// @param continues_in_next_block true if the row continues in the next block
+/// blocks, only stores the sum for backward/gather_heads. Two instances may share SH
+/// coefficients; one addition per instance gives a repeatable result, more additions do
+/// not.
 void store_row_sum_of_block(uint block, uint gradient_row, uint instance, bool starts_in_block,
                             bool continues_in_next_block) {
     if (starts_in_block && !continues_in_next_block) {

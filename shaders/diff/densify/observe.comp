@@ -1,15 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
-// Updates the statistics for densification. They are the gradient norm with respect to
-// the mean, summed over batches, and the number of batches in which the surfel was
-// visible. The gradient is in the model frame. Its norm is the same in the world frame,
-// because the transform is rigid. One thread per surfel. Input: d_mean, touched.
-// Accumulated: gradient_sum, n_seen, frames.
+// Updates the statistics for densification: the gradient norm with respect to the mean,
+// summed over batches, and the number of batches in which the surfel was visible. One
+// thread per surfel. Input: d_mean, touched. Accumulated: gradient_sum, n_seen, frames.
 //
-// A batch that contains every s-th ray of a frame may miss a small visible surfel. The
-// gradients of surfels that it hits are s times larger, because the loss is a mean over
-// the batch. Therefore a batch counts for every surfel that has ever had a gradient in
-// the same frame. Then the mean over batches equals the mean over full frames for any
-// batch size.
+// A batch that contains every s-th ray of a frame may miss a small visible surfel, and
+// gives s times larger gradients to the surfels that it hits. Therefore a batch counts
+// for every surfel that has ever had a gradient in the same frame, so that the mean over
+// batches equals the mean over full frames.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"

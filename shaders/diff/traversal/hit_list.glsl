@@ -1,16 +1,15 @@
 // SPDX-License-Identifier: Apache-2.0
 // List of the hits of a ray in global memory, which replaces the ordered hit buffer in
-// some kernels. The list is not ordered, because ordering during the search takes a GPU
-// more time than the search itself. Kernel forward/sort_hits sorts the list afterwards.
+// some kernels. The list is not ordered; kernel forward/sort_hits sorts it afterwards.
 //
 // The search shortens the ray, but never loses a hit that contributes. If the product of
 // 1 - alpha over a set of hits is below T_min, the ray ends at the farthest hit of the
 // set or before it. Then the product starts again with the following hits, which are all
-// nearer. These hits can shorten the ray again.
+// nearer.
 //
-// If a driver reports a hit twice, the product contains this hit twice, so the ray may be
-// shortened too much. Kernel forward/blend detects such a ray because its transmittance
-// has not reached the limit. Kernel forward/trace then renders the ray.
+// If a driver reports a hit twice, the ray may be shortened too much. Kernel
+// forward/blend detects such a ray because its transmittance has not reached the limit,
+// and forward/trace renders it.
 #ifndef RELIDAR_INCLUDED_DIFF_TRAVERSAL_HIT_LIST_GLSL
 #define RELIDAR_INCLUDED_DIFF_TRAVERSAL_HIT_LIST_GLSL
 

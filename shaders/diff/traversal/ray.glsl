@@ -21,16 +21,11 @@ vec3 entered_direction;
 // fired. Rodrigues vector in the model frame: axis times tangent of half the angle.
 vec3 entered_turn = vec3(0.0);
 
-/// Returns the index of this thread's ray in the batch. The index is at least n_rays if
-/// this thread has no ray.
-///
-/// In an image, 8 consecutive threads trace 4 x 2 pixels, and 32 threads trace 16 x 2
-/// pixels. Columns are closer together than rows, so the rays of such a tile visit the
-/// same tree nodes.
-///
-/// Tiles are numbered down the image first, then across. A driver such as lavapipe gives
-/// each of its threads one contiguous range of workgroups. With this order, all ranges
-/// contain sky and ground in similar shares, so they take a similar time.
+/// Returns the index of this thread's ray in the batch, at least n_rays if it has no ray.
+/// In an image, 8 consecutive threads trace 4 x 2 pixels, and 32 threads 16 x 2 pixels,
+/// because these rays visit the same tree nodes. Tiles are numbered down the image first,
+/// then across, so that the contiguous ranges of workgroups that lavapipe gives to its
+/// threads contain sky and ground in similar shares.
 uint get_traced_ray(TraceScene scene) {
     uint i = get_thread_index();
     if (scene.columns == 0u) return i;

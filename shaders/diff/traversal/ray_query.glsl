@@ -1,19 +1,17 @@
 // SPDX-License-Identifier: Apache-2.0
 // Finds hits with Vulkan ray queries on a two-level acceleration structure. All geometry
 // is non-opaque, so the shader tests each candidate. When the hit buffer is closed, the
-// query stops at the farthest hit of the buffer.
+// query stops at the farthest hit of the buffer plus `reach`.
 //
-// Each surfel has a proxy shape. A ray crosses the triangles of a surfel exactly at the
-// hit. A ray enters a box before the hit and leaves it behind the hit. A ray crosses the
-// surface of an icosahedron before and behind the hit, at most `reach` behind it.
-// Therefore the query stops at the farthest hit plus `reach`. Then it finds at least one
-// crossing, even if the icosahedron contains the sensor. If both crossings are found, the
-// hit buffer ignores the second one.
+// A ray crosses the triangles of a surfel exactly at the hit, and a box or an icosahedron
+// before and behind it, at most `reach` behind it. Therefore at least one crossing is
+// found, even if the icosahedron contains the sensor. The hit buffer ignores a second
+// one.
 //
 // The driver stores one pose per model. Each model that moves during the sweep needs a
-// separate query with a moved ray. A cull mask limits the first query to models that do
-// not move. The sphere around a moving model contains all its possible hits, so no hit is
-// lost. The rounding error of a moved ray is far below the margin of the proxies.
+// separate query with a moved ray, and a cull mask limits the first query to models that
+// do not move. The sphere around a moving model contains all its hits. The rounding error
+// of a moved ray is far below the margin of the proxies.
 #ifndef RELIDAR_INCLUDED_DIFF_TRAVERSAL_RAY_QUERY_GLSL
 #define RELIDAR_INCLUDED_DIFF_TRAVERSAL_RAY_QUERY_GLSL
 RELIDAR_CONSTANT(uint, BOXES, 0u);

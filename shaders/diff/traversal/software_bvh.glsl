@@ -1,42 +1,30 @@
 // SPDX-License-Identifier: Apache-2.0
 // Finds hits with a two-level tree of nodes with up to eight children, whose boxes are
 // quantised (relidar/diff/bvh.h). The traversal uses a stack and visits near children
-// first. The top-level tree contains instances. An instance transforms the ray into the
-// frame of its model, until the traversal returns to an entry of the top-level tree.
+// first. At an instance of the top-level tree, it transforms the ray into the frame of
+// the model.
 //
 // A specialisation constant selects whether each ray is traversed separately, or all rays
 // of a subgroup together. In joint traversal, the subgroup visits a node if any of its
-// rays needs the node, and tests the surfels of the node in all lanes. Each ray still has
-// a separate stack and separate distances. All rays process the same entry, which is the
-// top entry of the first active ray. A ray with a different stack waits. Therefore no hit
-// is lost, however the lanes diverge and reconverge. All lanes load from the same
-// address, so that the compiler can use a single load.
+// rays needs the node, and tests its surfels in all lanes. All rays process the top entry
+// of the first active ray; a ray with a different stack waits. Therefore no hit is lost,
+// however the lanes diverge and reconverge, and all lanes load from the same address.
 //
-// A CPU's compiler does not use a single load, so lanes load cooperatively on a CPU
-// (kSharesLoads, shared_load.glsl). The lanes of a CPU are elements of a vector and
-// cannot diverge. If all lanes are active at the start, they have the same stack until
-// the end. This compiler also runs each loop once more, without an active lane, to detect
-// its end. Therefore loops with few iterations test their condition at the end.
+// On a CPU, lanes load cooperatively (kSharesLoads, shared_load.glsl). Its compiler runs
+// each loop once more, without an active lane, to detect its end. Therefore loops with
+// few iterations test their condition at the end.
 //
 // No hit is lost, for these reasons:
 // - The box test uses the same ray as intersect(): entered_origin, entered_direction. t
-//   is the ray's parameter. It is the same in the world and in a model, whatever the
-//   instance's scale. So distances in all trees are comparable with the t of intersect().
+//   is the same in the world and in a model, whatever the instance's scale.
 // - The distance to a box side, q scale + at, has an error of at most 8 roundings of its
-//   terms. The slack, kSlack times both terms, is larger. It moves near sides nearer and
-//   far sides farther.
-// - A direction component below kLeastSlope is replaced by kLeastSlope. Over 100 km this
-//   moves the ray by 10^-7 m, less than the slack. So a division by zero is impossible. A
-//   NaN is impossible for coordinates below 10^25 m. If a NaN occurred, the comparisons
-//   would visit the node.
-// - A moving model is inside its box of the top-level tree whenever a ray is fired. The
-//   box contains the model at all times of its span, and enter_instance() clamps the time
-//   of a ray to that span.
+//   terms. The slack, kSlack times both terms, is larger.
+// - A direction component below kLeastSlope is replaced by kLeastSlope, so a division by
+//   zero is impossible. Over 100 km this moves the ray by 10^-7 m, less than the slack.
+// - A moving model is inside its box of the top-level tree whenever a ray is fired,
+//   because enter_instance() clamps the time of a ray to its span.
 // - A node is skipped only if it is behind `end` or before `start`. Both include 1e-4 m +
 //   1e-5 t for the rounding error of t, as in every traversal method (README.md).
-//
-// Costs on a GPU: a node takes 80 bytes and about 150 operations for eight boxes. A
-// surfel takes 64 bytes and 40 operations.
 #ifndef RELIDAR_INCLUDED_DIFF_TRAVERSAL_SOFTWARE_BVH_GLSL
 #define RELIDAR_INCLUDED_DIFF_TRAVERSAL_SOFTWARE_BVH_GLSL
 #extension GL_KHR_shader_subgroup_basic : enable
@@ -134,8 +122,6 @@ void push_entry(uint entry, float t) {
 /// needs only minima and maxima. The packed distance loses four bits and is rounded
 /// towards the ray's origin.
 /// @param first_inner_child stack entry of the first inner child
-/// @param inner_mask bit mask of the inner children
-/// @param hit_mask bit mask of the children whose boxes the ray intersects
 void push_children_hit_by_ray(uint first_inner_child, uint inner_mask, uint hit_mask,
                               float t[RELIDAR_BVH_WIDTH]) {
     const uint kThere = 0x80000000u;
@@ -265,10 +251,9 @@ void transform_ray_for_box_tests(TraceScene scene, Ray ray, uint instance, inout
 
 /// Visits a node: tests the surfels in its leaves and pushes its child nodes onto the
 /// stack.
-/// @param tree_instance instance whose model contains the node, or RELIDAR_BVH_NO_NODE
-/// for the top-level tree
-/// @param is_subgroup_full true if all lanes of the subgroup are active. They then load
-/// the node together
+/// @param tree_instance instance of the tree, or RELIDAR_BVH_NO_NODE for the top-level
+/// tree
+/// @param is_subgroup_full true if all lanes are active. They then load the node together
 /// @return number of tested surfels
 uint visit_node_and_count_tested_surfels(TraceScene scene, Ray ray, HitKey previous_key, uint tree_instance,
                                          uint node_index, bool is_subgroup_full, inout BoxRay box_ray) {

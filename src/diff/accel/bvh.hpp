@@ -1,10 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 // Software acceleration structure (relidar/diff/bvh.h) that the device builds and refits.
 // The trees of all models share the same arrays, so that the number of launches does not
-// depend on the number of models. The build sorts surfels along a space-filling curve and
-// clusters them into binary trees. Then it converts the binary nodes to nodes with up to
-// eight children, and computes their boxes bottom up. Memory per surfel: 24 B for boxes,
-// 92 B for scratch, 4 B for the order, 30 B for nodes.
+// depend on the number of models. The build sorts surfels along a space-filling curve,
+// clusters them into binary trees, converts these to wide nodes, and computes their boxes
+// bottom up. Memory per surfel: 24 B boxes, 92 B scratch, 4 B order, 30 B nodes.
 #pragma once
 
 #include <cstdint>

@@ -19,11 +19,8 @@ namespace {
 constexpr std::uint32_t kMostHitsPerRay = 4096;
 
 /// Returns true if the kernels write one record per hit and sum the records without
-/// atomics. If spherical harmonics (SH) are evaluated per hit, atomics are slower,
-/// because each hit needs 64 of them. If SH are evaluated per surfel, a hit needs only 16
-/// atomics. Atomics are then as fast as records and need no memory. Devices without float
-/// atomics always use records, because their compare-and-swap loops conflict if many rays
-/// hit one surfel.
+/// atomics. This is faster if spherical harmonics are evaluated per hit (64 atomics
+/// instead of 16), or if the device has no float atomics.
 bool should_sum_gradients_without_atomics(const Device& device, GradientReduction reduction,
                                           ShDirection sh_direction) {
     if (reduction != GradientReduction::automatic) return reduction == GradientReduction::gather;

@@ -34,11 +34,10 @@ public:
                   const std::vector<SpecialisationConstant>& constants, int initial_hits_per_list);
 
     /// Renders the rays of a batch with hit lists. Sets `params.lists`. Kernel
-    /// diff/forward/trace must run afterwards, because it renders the rays whose lists
-    /// cannot be used. If the device has no memory for lists, this kernel renders all
-    /// rays. All calls must use the same stream.
-    /// @param kept_hits memory that stores hits for the backward pass. If it is large
-    /// enough, lists use the same memory, which avoids a copy
+    /// diff/forward/trace must run afterwards for the rays whose lists cannot be used.
+    /// All calls must use the same stream.
+    /// @param kept_hits memory of the hits for the backward pass. If it is large enough,
+    /// lists use it, which avoids a copy
     void render_with_hit_lists(Stream& stream, const RayBatch& batch, shared::ForwardParams& params,
                                const StoredRayHits* kept_hits = nullptr);
     std::uint32_t get_hit_list_capacity() const { return hits_per_list_; }  ///< capacity of a list in hits

@@ -21,8 +21,8 @@ struct CollectedHits {
     std::vector<std::uint32_t> surfel;    ///< [n_rays, max_hits] surfel of each hit
 };
 
-/// Returns all hits of each ray, from near to far. Hits beyond `max_hits` per ray are only
-/// counted.
+/// Returns all hits of each ray, from near to far. Hits beyond `max_hits` per ray are
+/// only counted.
 /// @param scene from make_trace_scene_params(); this function adds the rays
 /// @param variant,constants of the kernel, see trace_scene.hpp
 /// @throws DeviceError if a ray has too many hits to be traced completely

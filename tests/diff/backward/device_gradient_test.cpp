@@ -272,57 +272,5 @@ TEST_F(DeviceGradient, Likelihood) {
                      "likelihood, 3D Gaussians");
 }
 
-/// Compares the gradients with central differences computed on the device. Central
-/// differences are less accurate (single precision), but they share no code with the
-/// reference.
-class DeviceDifferences : public test::DeviceTest, public testing::WithParamInterface<PrimitiveType> {};
-INSTANTIATE_TEST_SUITE_P(Primitives, DeviceDifferences,
-                         testing::Values(PrimitiveType::surfel, PrimitiveType::gaussian));
-
-TEST_P(DeviceDifferences, OfTheStrongestSurfel) {
-    reference::Settings settings;
-    settings.image.primitive = GetParam();
-    const test::RandomSceneOptions options{.seed = 35, .primitive = GetParam()};
-    const test::RandomScene scene = test::make_random_scene(options, settings);
-    Passes passes(device(), settings.image, scene, make_random_upstream(scene.rays.size(), 3),
-                  test::make_options(settings.image));
-    passes.run();
-    const Surfels d = passes.gradients().surfels.download();
-    const Surfels start = passes.renderer.download_scene().surfels;
-    std::size_t strongest = 0;
-    for (std::size_t i = 0; i < d.size(); ++i)
-        if (glm::length(d.mean[i]) > glm::length(d.mean[strongest])) strongest = i;
-    const auto difference = [&](const std::function<void(Surfels&, float)>& move, float h) {
-        Surfels above = start, below = start;
-        move(above, h);
-        move(below, -h);
-        passes.renderer.upload_surfels(above);
-        const double high = passes.loss();
-        passes.renderer.upload_surfels(below);
-        return (high - passes.loss()) / (2.0 * h);
-    };
-    const auto expect_close = [](double actual, double expected, double scale) {
-        EXPECT_NEAR(actual, expected, 0.01 * std::abs(expected) + 2e-3 * scale);
-    };
-    const double scale = glm::length(d.mean[strongest]);
-    for (int k = 0; k < 3; ++k)
-        expect_close(d.mean[strongest][k],
-                     difference([&](Surfels& surfels, float h) { surfels.mean[strongest][k] += h; }, 5e-4f),
-                     scale);
-    for (int k = 0; k < 2; ++k)
-        expect_close(
-            d.log_scale[strongest][k],
-            difference([&](Surfels& surfels, float h) { surfels.log_scale[strongest][k] += h; }, 2e-3f),
-            scale);
-    if (GetParam() == PrimitiveType::gaussian)
-        expect_close(
-            d.log_scale_w[strongest],
-            difference([&](Surfels& surfels, float h) { surfels.log_scale_w[strongest] += h; }, 2e-3f),
-            scale);
-    expect_close(d.opacity_logit[strongest],
-                 difference([&](Surfels& surfels, float h) { surfels.opacity_logit[strongest] += h; }, 5e-3f),
-                 scale);
-}
-
 }  // namespace
 }  // namespace relidar

@@ -23,12 +23,14 @@ struct PoseProblem {
     test::RandomScene scene;
     std::vector<PixelGradient> upstream;
 
-    PoseProblem(ShDirection direction, const test::RandomSceneOptions& options) {
+    PoseProblem(ShDirection direction, const test::RandomSceneOptions& options,
+                test::Outputs outputs = test::Outputs::image) {
         settings.image.sh_direction = direction;
+        settings.likelihood_scale_m = 0.3;
         settings.image.primitive = options.primitive;
         scene = test::make_random_scene(options, settings);
         settings.view_origin = scene.view_origin;
-        upstream = test::make_random_upstream(scene.rays.size(), options.seed);
+        upstream = test::make_random_upstream(scene.rays.size(), options.seed, outputs);
     }
 
     std::vector<double> terms(const std::vector<reference::Ray>& rays,
@@ -79,15 +81,17 @@ void add_twist(GradientTable& table, const std::string& name, const std::vector<
 class PoseGradient : public test::DeviceTest {
 protected:
     void expect_agreement(ShDirection direction, const test::RandomSceneOptions& options,
-                          const std::string& title) {
-        PoseProblem p(direction, options);
+                          const std::string& title, test::Outputs outputs = test::Outputs::image) {
+        PoseProblem p(direction, options, outputs);
         const reference::BruteForce brute(p.scene.world, p.settings.image,
                                           reference::Precision::double_record);
         reference::Gradients expected(p.scene.world);
         for (std::size_t i = 0; i < p.scene.rays.size(); ++i)
             reference::backward(p.scene.world, brute, p.settings, p.scene.rays[i], 16, p.upstream[i],
                                 expected);
-        Passes passes(device(), p.settings.image, p.scene, p.upstream, test::make_options(p.settings.image));
+        RendererOptions renderer = test::make_options(p.settings.image);
+        if (outputs != test::Outputs::image) renderer.trace.likelihood = RangeLikelihoodKernel{0.3f};
+        Passes passes(device(), p.settings.image, p.scene, p.upstream, renderer);
         passes.run();
         const std::vector<float> poses = passes.gradients().poses.download();
         GradientTable table;
@@ -169,6 +173,11 @@ TEST_F(PoseGradient, MoreSurfelsThanThreadsOfAWorkgroup) {
                       .opacity_low = 0.02,
                       .opacity_high = 0.2},
                      "poses, transparent, 90 surfels an actor");
+}
+
+TEST_F(PoseGradient, WithTheLikelihood) {
+    expect_agreement(ShDirection::ray, {.seed = 49, .rays = 60}, "poses, image and likelihood",
+                     test::Outputs::all);
 }
 
 Scene make_background_and_actor(std::uint32_t n_background, std::uint32_t n_actor) {
