@@ -4,6 +4,7 @@
 // computes the values of new surfels.
 #include <relidar/diff/densify.hpp>
 
+#include <algorithm>
 #include <cmath>
 #include <limits>
 
@@ -15,7 +16,6 @@
 #include "base/assert.hpp"
 #include "base/random.hpp"
 #include "diff/densify/rearrange.hpp"
-#include "diff/densify/room.hpp"
 #include "gpu/stream.hpp"
 
 namespace relidar {
@@ -23,6 +23,21 @@ namespace relidar {
 namespace {
 
 constexpr float kUnbounded = std::numeric_limits<float>::infinity();
+
+/// Returns an empty string, or the reason why the allocation failed.
+std::string try_allocation_and_get_error(Device& device, double n_bytes) {
+    // allocates in pieces, because drivers limit the size of one allocation
+    constexpr double kPiece = double(256 << 20);
+    std::vector<Buffer> pieces;
+    try {
+        for (; n_bytes > 0.0; n_bytes -= kPiece)
+            pieces.emplace_back(device, static_cast<std::size_t>(std::min(std::max(n_bytes, 4.0), kPiece)),
+                                "additional surfels");
+    } catch (const OutOfDeviceMemory& error) {
+        return error.what();
+    }
+    return {};
+}
 
 double logit(double probability) { return std::log(probability / (1.0 - probability)); }
 

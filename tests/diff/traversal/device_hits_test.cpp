@@ -15,44 +15,49 @@ using test::kMaxHits;
 using test::list_hits;
 using test::TraversalCase;
 
-class DeviceHits : public test::DeviceHits {
-protected:
-    CollectedHits collect(const TraversalCase& test_case, const AccelOptions& accel,
-                          const TraceOptions& trace) {
-        const test::SceneAndPoses placed = test::to_scene(test_case.surfels, test_case.instances);
-        const ImageFormationModel model{.primitive = test_case.surfels.primitive};
-        Stream stream(device());
-        DeviceScene scene(device(), placed.scene);
-        scene.upload_instance_poses_and_wait(placed.world_from_instance);
-        AccelerationStructure structure(device(), scene, accel);
-        scene.record_activation_of_surfel_parameters(stream, model, glm::vec3(0.0f));
-        structure.record_bvh_refit_or_build(stream, scene);
-        stream.submit_and_wait();
-        return test::convert_to_world(
-            collect_ray_hits(
-                device(), get_traversal_kernel_variant(device()),
-                make_trace_kernel_constants(device(), structure.get_proxy_shape_of_surfels(), trace, model),
-                make_trace_scene_params(scene, structure.get_device_addresses(), model), test_case.rays,
-                kMaxHits),
-            placed);
-    }
-    void expect_conformance(const std::vector<TraversalCase>& cases);
-};
-
 struct Setting {
     const char* name;
     AccelOptions accel;
     TraceOptions trace;
     bool brute_force = false;
+    bool as_on_gpus = false;  ///< a subgroup shares its walk, but not its loads, as on GPUs
+};
+
+class DeviceHits : public test::DeviceHits {
+protected:
+    CollectedHits collect(const TraversalCase& test_case, const Setting& setting) {
+        const ForcedBehaviourScope forced(device(), {.brute_force = setting.brute_force});
+        const test::SceneAndPoses placed = test::to_scene(test_case.surfels, test_case.instances);
+        const ImageFormationModel model{.primitive = test_case.surfels.primitive};
+        Stream stream(device());
+        DeviceScene scene(device(), placed.scene);
+        scene.upload_instance_poses_and_wait(placed.world_from_instance);
+        AccelerationStructure structure(device(), scene, setting.accel);
+        scene.record_activation_of_surfel_parameters(stream, model, glm::vec3(0.0f));
+        structure.record_bvh_refit_or_build(stream, scene);
+        stream.submit_and_wait();
+        std::vector<SpecialisationConstant> constants = make_trace_kernel_constants(
+            device(), structure.get_proxy_shape_of_surfels(), setting.trace, model);
+        for (SpecialisationConstant& c : constants)
+            if (setting.as_on_gpus && c.id == SpecialisationConstantId::TOGETHER) c.value = 1u;
+        return test::convert_to_world(
+            collect_ray_hits(device(), get_traversal_kernel_variant(device()), constants,
+                             make_trace_scene_params(scene, structure.get_device_addresses(), model),
+                             test_case.rays, kMaxHits),
+            placed);
+    }
+    void expect_conformance(const std::vector<TraversalCase>& cases);
 };
 
 /// Returns the traversal settings that the test device supports. Brute force is the last
 /// setting.
 std::vector<Setting> providers(const Device& device, int chunk) {
     const Setting brute{"brute force", {}, {.chunk = chunk}, true};
+    const TraceOptions subgroup{.chunk = chunk, .traversal_mode = BvhTraversalMode::subgroup};
     if (device.get_ray_tracing_backend() == RayTracingBackend::software)
         return {{"lane", {}, {.chunk = chunk, .traversal_mode = BvhTraversalMode::lane}},
-                {"subgroup", {}, {.chunk = chunk, .traversal_mode = BvhTraversalMode::subgroup}},
+                {"subgroup", {}, subgroup},
+                {"subgroup as on GPUs", {}, subgroup, false, true},
                 brute};
     return {{"triangles", {.proxy = ProxyShape::triangles}, {.chunk = chunk}},
             {"boxes", {.proxy = ProxyShape::boxes}, {.chunk = chunk}},
@@ -65,8 +70,7 @@ void DeviceHits::expect_conformance(const std::vector<TraversalCase>& cases) {
         for (const int chunk : {1, 32})  // ChunkSize tests more sizes
             for (const Setting& s : providers(device(), chunk)) {
                 const std::string title = c.name + ", " + s.name + ", chunk " + std::to_string(chunk);
-                const ForcedBehaviourScope forced(device(), {.brute_force = s.brute_force});
-                expect_equal(c, compare(c, brute, collect(c, s.accel, s.trace)), title);
+                expect_equal(c, compare(c, brute, collect(c, s)), title);
             }
     }
 }
@@ -83,11 +87,10 @@ INSTANTIATE_TEST_SUITE_P(Primitives, ChunkSize,
 TEST_P(ChunkSize, DoesNotMatter) {
     const TraversalCase c = GetParam() == PrimitiveType::gaussian ? test::make_crowded_case(6, 100, 500)
                                                                   : test::make_random_case(5, 400, 2000);
-    const CollectedHits expected = collect(c, {}, {.chunk = 64});
+    const CollectedHits expected = collect(c, {"expected", {}, {.chunk = 64}});
     for (const int chunk : {1, 5, 32})
         for (const Setting& s : providers(device(), chunk)) {
-            const ForcedBehaviourScope forced(device(), {.brute_force = s.brute_force});
-            const CollectedHits actual = collect(c, s.accel, s.trace);
+            const CollectedHits actual = collect(c, s);
             EXPECT_EQ(actual.counts, expected.counts) << s.name << ", chunk " << chunk;
             for (std::size_t ray = 0; ray < c.rays.size(); ++ray)
                 ASSERT_EQ(list_hits(actual, ray), list_hits(expected, ray))
