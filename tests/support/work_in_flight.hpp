@@ -14,7 +14,7 @@ namespace relidar::test {
 class WorkInFlight {
 public:
     WorkInFlight() {
-        now = {};
+        now = State{};
         submit = std::exchange(vkQueueSubmit, on_submit);
         wait_idle = std::exchange(vkDeviceWaitIdle, on_wait_idle);
         wait = std::exchange(vkWaitSemaphores, on_wait);
@@ -37,9 +37,9 @@ public:
 
 private:
     struct State {
-        bool in_flight = false;
-        std::uint64_t last_value = 0;  ///< semaphore value of the last submission; 0 if it has none
-        int n_destroyed = 0, n_destroyed_in_flight = 0, n_submissions = 0;
+        bool in_flight;
+        std::uint64_t last_value;  ///< semaphore value of the last submission; 0 if it has none
+        int n_destroyed, n_destroyed_in_flight, n_submissions;
     };
     inline static State now;
     inline static PFN_vkQueueSubmit submit;

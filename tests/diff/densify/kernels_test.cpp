@@ -82,17 +82,15 @@ struct Trained {
     DeviceScene device_scene;
     Adam adam;
     Densifier densifier;
-    Trained(Device& device, Scene initial, const DensifyOptions& options, float alpha_min = 1.0f / 255.0f)
-        : scene(std::move(initial)),
+    Trained(Device& device, float alpha_min)
+        : scene(test::make_random_model_scene({200}, 3)),
           device_scene(device, scene),
           adam(device, std::uint32_t(scene.surfels.size()), {}, scene.surfels.primitive),
-          densifier(device, scene, options, alpha_min, 3, 9) {}
+          densifier(device, scene, {.strategy = DensifyStrategy::adaptive}, alpha_min, 3, 9) {}
 };
 
 TEST_F(DensifyKernels, ResetOpacityAtItsTimes) {
-    DensifyOptions options;
-    options.strategy = DensifyStrategy::adaptive;
-    Trained t(device(), test::make_random_model_scene({200}, 3), options);
+    Trained t(device(), 1.0f / 255.0f);
     const Surfels tags = t.scene.surfels;
     Stream stream(device());
     for (const int step : {2999, 3001, 15000})
@@ -122,10 +120,8 @@ TEST_F(DensifyKernels, ResetOpacityAtItsTimes) {
 /// Opacities must not be reset below the visibility limit, because an invisible surfel
 /// would never get a gradient again.
 TEST_F(DensifyKernels, WhatIsResetStaysVisible) {
-    DensifyOptions options;
-    options.strategy = DensifyStrategy::adaptive;
     constexpr float kAlphaMin = 0.04f;
-    Trained t(device(), test::make_random_model_scene({200}, 3), options, kAlphaMin);
+    Trained t(device(), kAlphaMin);
     const std::vector<float> before = t.scene.surfels.opacity_logit;
     Stream stream(device());
     t.densifier.record_opacity_reset_if_scheduled(stream, t.device_scene, t.adam, 3000);
