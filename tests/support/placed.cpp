@@ -26,6 +26,10 @@ SceneAndPoses to_scene(const Surfels& surfels, const std::vector<reference::Plac
     return result;
 }
 
+SceneAndPoses to_scene(const reference::World& world) {
+    return to_scene(to_surfels(world.surfels), world.instances);
+}
+
 WorldRays to_world_rays(const std::vector<reference::Ray>& rays) {
     WorldRays result;
     for (const reference::Ray& ray : rays) {

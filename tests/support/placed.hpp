@@ -20,6 +20,7 @@ struct SceneAndPoses {
     std::vector<std::uint32_t> original;
 };
 SceneAndPoses to_scene(const Surfels& surfels, const std::vector<reference::Placement>& placements);
+SceneAndPoses to_scene(const reference::World& world);
 
 WorldRays to_world_rays(const std::vector<reference::Ray>& rays);
 

@@ -104,7 +104,7 @@ public:
         : device_(device),
           case_(bench_case),
           allocated_before_(device.allocated_bytes()),
-          rays_(device, std::span<const DeviceRay>(to_device_rays(bench_case.rays)), "rays") {}
+          rays_(device, to_device_rays(bench_case.rays), "rays") {}
 
     /// Renders an image to count its hits. If `includes_training` is true, also creates
     /// the training step and its target values.

@@ -245,7 +245,7 @@ RayQueryAccel::RayQueryAccel(Device& device, const DeviceScene& scene, ProxyShap
         for (std::uint32_t i = 0; i < largest; ++i)
             for (const std::uint32_t corner : a.mesh.corners)
                 indices.push_back(a.mesh.n_corners * i + corner);
-        a.indices = Array<std::uint32_t>(device, std::span<const std::uint32_t>(indices), "proxy indices");
+        a.indices = Array<std::uint32_t>(device, indices, "proxy indices");
     }
 
     const auto n_triangles = static_cast<std::uint32_t>(a.mesh.corners.size() / 3);

@@ -17,7 +17,7 @@ Joined upload_joined_values(Device& device, std::span<const RayDropImage> images
     Joined all(device, n, description);
     std::size_t first = 0;
     for (const RayDropImage& image : images) {
-        all.upload(std::span<const float>(get_values(image)), first);
+        all.upload(get_values(image), first);
         first += get_values(image).size();
     }
     return all;
@@ -57,8 +57,7 @@ RayDropInputs::RayDropInputs(Device& device, const RayDropNetwork& network)
     std::vector<glm::vec2> scale_shift_pairs;
     for (std::size_t i = 0; i + 1 < network.normalisation.size(); i += 2)
         scale_shift_pairs.emplace_back(network.normalisation[i], network.normalisation[i + 1]);
-    scale_shift_ =
-        Array<glm::vec2>(device, std::span<const glm::vec2>(scale_shift_pairs), "normalisation of inputs");
+    scale_shift_ = Array<glm::vec2>(device, scale_shift_pairs, "normalisation of inputs");
 }
 
 void RayDropInputs::upload_training_images(Device& device, std::span<const RayDropImage> images) {

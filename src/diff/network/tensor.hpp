@@ -18,9 +18,7 @@ struct ImageBatchSize {
     std::uint32_t n = 0, rows = 0, columns = 0;
     bool circular = true;  ///< true: columns wrap around, because the image covers a full turn
 
-    std::size_t count_pixels_per_image() const {
-        return std::size_t(rows) * columns;
-    }  ///< pixels of one image
+    std::size_t count_pixels_per_image() const { return std::size_t(rows) * columns; }
     std::size_t count_all_pixels() const { return n * count_pixels_per_image(); }
     friend bool operator==(const ImageBatchSize&, const ImageBatchSize&) = default;
 };
@@ -47,7 +45,11 @@ struct Tensor {
     Tensor() = default;
     Tensor(Device& device, std::uint32_t n_channels, const ImageBatchSize& g, const std::string& description)
         : channels(n_channels), grid(g), values(device, n_channels * g.count_all_pixels(), description) {}
-    ChannelSlice get_all_channels() const { return {{values.address(), channels, 0}, channels, grid}; }
+    /// Returns all channels.
+    operator ChannelSlice() const { return {{values.address(), channels, 0}, channels, grid}; }
+    ChannelSlice get_channel_range(std::uint32_t first_channel, std::uint32_t n_channels) const {
+        return {{values.address(), channels, first_channel}, n_channels, grid};
+    }
 };
 
 }  // namespace relidar::refine

@@ -16,18 +16,17 @@ Unet::Unet(Device& device, const RayDropNetwork& network)
       conv3_(device, 9),
       norm_(device),
       resample_(device),
-      parameters_(device, std::span<const float>(network.parameters), "network parameters"),
-      running_(device, std::span<const float>(network.running), "running moments") {
+      parameters_(device, network.parameters, "network parameters"),
+      running_(device, network.running, "running moments") {
     if (network.heads > 0) attention_.emplace(device, network.heads);
 }
 
 ChannelSlice Unet::get_skip_connection(std::size_t level) const {
-    return levels_[level].joined.get_all_channels().get_channel_range(
-        count_upsampled_channels(widths_, level), widths_[level]);
+    return levels_[level].joined.get_channel_range(count_upsampled_channels(widths_, level), widths_[level]);
 }
 ChannelSlice Unet::get_skip_connection_gradient(std::size_t level) const {
-    return levels_[level].d_joined.get_all_channels().get_channel_range(
-        count_upsampled_channels(widths_, level), widths_[level]);
+    return levels_[level].d_joined.get_channel_range(count_upsampled_channels(widths_, level),
+                                                     widths_[level]);
 }
 
 void Unet::allocate_block_activations(Device& device, const UnetBlockOffsets& block,
@@ -112,57 +111,45 @@ void Unet::run_conv_block(Stream& stream, const UnetBlockOffsets& block, UnetBlo
     const NormWeights norm_weights{parameters_.address_as<glm::vec2, shared::BetaGamma>(block.beta_gamma),
                                    running_.address_as<glm::vec2, shared::RunningMoments>(block.running)};
     if (mode == UnetMode::train)
-        norm_.run_norm_relu_dropout_for_training(stream, input, norm_weights, state.norm,
-                                                 state.active.get_all_channels());
-    else
-        norm_.run_norm_relu_for_inference(stream, input, norm_weights, state.norm,
-                                          state.active.get_all_channels());
+        norm_.run_norm_relu_dropout_for_training(stream, input, norm_weights, state.norm, state.active);
+    else norm_.run_norm_relu_for_inference(stream, input, norm_weights, state.norm, state.active);
     get_convolution_kernels(block.conv)
-        .run_convolution(stream, state.active.get_all_channels(), get_conv_weights(block.conv.weights), {},
-                         output);
+        .run_convolution(stream, state.active, get_conv_weights(block.conv.weights), {}, output);
 }
 
 void Unet::run_attention_layer(Stream& stream, UnetMode mode) {
     const Tensor& bottom = levels_.back().up;
-    run_conv_block(stream, *plan_.query, query_state_, bottom.get_all_channels(), qkv_.get_all_channels(),
-                   mode);
-    attention_->compute_attention(stream, qkv_.get_all_channels(), attention_state_,
-                                  attended_.get_all_channels());
+    run_conv_block(stream, *plan_.query, query_state_, bottom, qkv_, mode);
+    attention_->compute_attention(stream, qkv_, attention_state_, attended_);
     stream.copy(bottom.values.buffer(), mixed_.values.buffer(), bottom.values.size() * sizeof(float));
-    conv1_.run_convolution(stream, attended_.get_all_channels(), get_conv_weights(plan_.project.weights),
-                           get_conv_bias(*plan_.project.bias), mixed_.get_all_channels(), true);
+    conv1_.run_convolution(stream, attended_, get_conv_weights(plan_.project.weights),
+                           get_conv_bias(*plan_.project.bias), mixed_, true);
 }
 
 void Unet::run_all_layers(Stream& stream, UnetMode mode) {
-    conv1_.run_convolution(stream, inputs_.get_all_channels(), get_conv_weights(plan_.first_conv.weights),
+    conv1_.run_convolution(stream, inputs_, get_conv_weights(plan_.first_conv.weights),
                            get_conv_bias(*plan_.first_conv.bias), get_skip_connection(0));
     const std::size_t n_levels = widths_.size() - 1;
     for (std::size_t l = 1; l <= n_levels; ++l) {
-        const ChannelSlice pooled = levels_[l].pooled.get_all_channels(),
-                           between = levels_[l].down_between.get_all_channels();
+        const ChannelSlice pooled = levels_[l].pooled, between = levels_[l].down_between;
         resample_.max_pool(stream, get_skip_connection(l - 1), pooled);
         run_conv_block(stream, plan_.down[2 * l - 2], down_states_[2 * l - 2], pooled, between, mode);
         run_conv_block(stream, plan_.down[2 * l - 1], down_states_[2 * l - 1], between,
-                       l < n_levels ? get_skip_connection(l) : levels_[l].up.get_all_channels(), mode);
+                       l < n_levels ? get_skip_connection(l) : levels_[l].up, mode);
     }
     if (attention_) run_attention_layer(stream, mode);
     for (std::size_t l = plan_.up.size() / 2; l-- > 0;) {
         const UnetLevelBuffers& level = levels_[l];
         if (const std::uint32_t below = count_upsampled_channels(widths_, l); below > 0) {
             const bool smallest = l + 1 == n_levels;
-            resample_.upsample_bilinear(
-                stream,
-                smallest && attention_ ? mixed_.get_all_channels() : levels_[l + 1].up.get_all_channels(),
-                level.joined.get_all_channels().get_channel_range(0, below));
+            resample_.upsample_bilinear(stream, smallest && attention_ ? mixed_ : levels_[l + 1].up,
+                                        level.joined.get_channel_range(0, below));
         }
-        run_conv_block(stream, plan_.up[2 * l], up_states_[2 * l], level.joined.get_all_channels(),
-                       level.up_between.get_all_channels(), mode);
-        run_conv_block(stream, plan_.up[2 * l + 1], up_states_[2 * l + 1],
-                       level.up_between.get_all_channels(), level.up.get_all_channels(), mode);
+        run_conv_block(stream, plan_.up[2 * l], up_states_[2 * l], level.joined, level.up_between, mode);
+        run_conv_block(stream, plan_.up[2 * l + 1], up_states_[2 * l + 1], level.up_between, level.up, mode);
     }
-    conv1_.run_convolution(stream, levels_[0].up.get_all_channels(),
-                           get_conv_weights(plan_.last_conv.weights), get_conv_bias(*plan_.last_conv.bias),
-                           logit_.get_all_channels());
+    conv1_.run_convolution(stream, levels_[0].up, get_conv_weights(plan_.last_conv.weights),
+                           get_conv_bias(*plan_.last_conv.bias), logit_);
 }
 
 void Unet::run_training_forward_pass(Stream& stream, std::uint32_t dropout_key, float dropout_rate) {
@@ -191,7 +178,7 @@ void Unet::backpropagate_conv_block(Stream& stream, const UnetBlockOffsets& bloc
                                     const ChannelSlice& d_output, const ChannelSlice& d_input,
                                     bool accumulate) {
     const ChannelSlice d_active{{scratch_.values.address(), block.conv.n_in, 0}, block.conv.n_in, input.grid};
-    backpropagate_conv_parameters(stream, block.conv, state.active.get_all_channels(), d_output);
+    backpropagate_conv_parameters(stream, block.conv, state.active, d_output);
     get_convolution_kernels(block.conv)
         .backpropagate_input(stream, d_output, get_conv_weights(block.conv.weights), d_active);
     norm_.backpropagate_norm_layer(stream, input, state.norm, d_active, d_input,
@@ -200,57 +187,44 @@ void Unet::backpropagate_conv_block(Stream& stream, const UnetBlockOffsets& bloc
 
 void Unet::backpropagate_attention(Stream& stream) {
     const UnetLevelBuffers& smallest = levels_.back();
-    backpropagate_conv_parameters(stream, plan_.project, attended_.get_all_channels(),
-                                  d_mixed_.get_all_channels());
-    conv1_.backpropagate_input(stream, d_mixed_.get_all_channels(), get_conv_weights(plan_.project.weights),
-                               d_attended_.get_all_channels());
-    attention_->backpropagate_to_qkv(stream, qkv_.get_all_channels(), attention_state_,
-                                     d_attended_.get_all_channels(), d_qkv_.get_all_channels());
+    backpropagate_conv_parameters(stream, plan_.project, attended_, d_mixed_);
+    conv1_.backpropagate_input(stream, d_mixed_, get_conv_weights(plan_.project.weights), d_attended_);
+    attention_->backpropagate_to_qkv(stream, qkv_, attention_state_, d_attended_, d_qkv_);
     stream.copy(d_mixed_.values.buffer(), smallest.d_up.values.buffer(),
                 d_mixed_.values.size() * sizeof(float));
-    backpropagate_conv_block(stream, *plan_.query, query_state_, smallest.up.get_all_channels(),
-                             d_qkv_.get_all_channels(), smallest.d_up.get_all_channels(), true);
+    backpropagate_conv_block(stream, *plan_.query, query_state_, smallest.up, d_qkv_, smallest.d_up, true);
 }
 
 void Unet::run_backward_pass(Stream& stream) {
     const std::size_t n_levels = widths_.size() - 1;
-    backpropagate_conv_parameters(stream, plan_.last_conv, levels_[0].up.get_all_channels(),
-                                  d_logit_.get_all_channels());
-    conv1_.backpropagate_input(stream, d_logit_.get_all_channels(), get_conv_weights(plan_.last_conv.weights),
-                               levels_[0].d_up.get_all_channels());
+    backpropagate_conv_parameters(stream, plan_.last_conv, levels_[0].up, d_logit_);
+    conv1_.backpropagate_input(stream, d_logit_, get_conv_weights(plan_.last_conv.weights), levels_[0].d_up);
     for (std::size_t l = 0; l < plan_.up.size() / 2; ++l) {
         const UnetLevelBuffers& level = levels_[l];
-        const ChannelSlice between = level.up_between.get_all_channels(),
-                           d_between = level.d_up_between.get_all_channels();
-        backpropagate_conv_block(stream, plan_.up[2 * l + 1], up_states_[2 * l + 1], between,
-                                 level.d_up.get_all_channels(), d_between);
-        backpropagate_conv_block(stream, plan_.up[2 * l], up_states_[2 * l], level.joined.get_all_channels(),
-                                 d_between, level.d_joined.get_all_channels());
+        const ChannelSlice between = level.up_between, d_between = level.d_up_between;
+        backpropagate_conv_block(stream, plan_.up[2 * l + 1], up_states_[2 * l + 1], between, level.d_up,
+                                 d_between);
+        backpropagate_conv_block(stream, plan_.up[2 * l], up_states_[2 * l], level.joined, d_between,
+                                 level.d_joined);
         if (const std::uint32_t below = count_upsampled_channels(widths_, l); below > 0) {
             const bool smallest = l + 1 == n_levels;
-            resample_.backpropagate_upsample(stream,
-                                             level.d_joined.get_all_channels().get_channel_range(0, below),
-                                             smallest && attention_ ? d_mixed_.get_all_channels()
-                                                                    : levels_[l + 1].d_up.get_all_channels());
+            resample_.backpropagate_upsample(stream, level.d_joined.get_channel_range(0, below),
+                                             smallest && attention_ ? d_mixed_ : levels_[l + 1].d_up);
         }
     }
     if (attention_) backpropagate_attention(stream);
     for (std::size_t l = n_levels; l > 0; --l) {
         const UnetLevelBuffers& level = levels_[l];
-        const ChannelSlice d_to =
-                               l < n_levels ? get_skip_connection_gradient(l) : level.d_up.get_all_channels(),
-                           between = level.down_between.get_all_channels();
+        const ChannelSlice d_to = l < n_levels ? get_skip_connection_gradient(l) : level.d_up,
+                           between = level.down_between;
         backpropagate_conv_block(stream, plan_.down[2 * l - 1], down_states_[2 * l - 1], between, d_to,
-                                 level.d_down_between.get_all_channels());
-        backpropagate_conv_block(stream, plan_.down[2 * l - 2], down_states_[2 * l - 2],
-                                 level.pooled.get_all_channels(), level.d_down_between.get_all_channels(),
-                                 level.d_pooled.get_all_channels());
-        resample_.backpropagate_max_pool(stream, get_skip_connection(l - 1),
-                                         level.d_pooled.get_all_channels(),
+                                 level.d_down_between);
+        backpropagate_conv_block(stream, plan_.down[2 * l - 2], down_states_[2 * l - 2], level.pooled,
+                                 level.d_down_between, level.d_pooled);
+        resample_.backpropagate_max_pool(stream, get_skip_connection(l - 1), level.d_pooled,
                                          get_skip_connection_gradient(l - 1));
     }
-    backpropagate_conv_parameters(stream, plan_.first_conv, inputs_.get_all_channels(),
-                                  get_skip_connection_gradient(0));
+    backpropagate_conv_parameters(stream, plan_.first_conv, inputs_, get_skip_connection_gradient(0));
 }
 
 }  // namespace relidar::refine

@@ -67,7 +67,7 @@ SurfelArrays& Adam::get_second_moments() { return impl_->moment2; }
 Array<float>& Adam::get_upper_bounds_of_log_scales() { return impl_->max_log_scale; }
 
 void Adam::set_max_log_scale_of_each_surfel(Device& device, const std::vector<float>& max_log_scales) {
-    impl_->max_log_scale = {device, std::span<const float>(max_log_scales), "bounds of scales"};
+    impl_->max_log_scale = {device, max_log_scales, "bounds of scales"};
 }
 
 void Adam::record_adam_step(Stream& stream, SurfelArrays& parameters, const SurfelArrays& gradients,

@@ -11,7 +11,7 @@ CollectedHits collect_ray_hits(Device& device, const KernelVariant& variant,
                                const WorldRays& rays, std::uint32_t max_hits) {
     const Kernel<shared::CollectHitsParams> kernel(device, "diff/traversal/collect_hits", variant, constants);
     const std::size_t n = rays.size(), n_slots = n * max_hits;
-    const Array<DeviceRay> device_rays(device, std::span<const DeviceRay>(to_device_rays(rays)), "rays");
+    const Array<DeviceRay> device_rays(device, to_device_rays(rays), "rays");
     const Array<std::uint32_t, shared::PassCapCount> pass_cap(device, std::vector<std::uint32_t>{0u},
                                                               "number of truncated rays");
     const Array<std::uint32_t, shared::HitCounts> counts(device, n, "hit counts");

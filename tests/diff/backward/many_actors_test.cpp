@@ -132,7 +132,7 @@ std::vector<float> train(Passes& passes) {
     renderer.stream().submit_and_wait();
     const std::vector<DeviceTarget> values =
         make_targets_near(passes.renderer.get_last_rendered_batch().rendered->download());
-    const Array<DeviceTarget> targets(device, std::span<const DeviceTarget>(values), "targets");
+    const Array<DeviceTarget> targets(device, values, "targets");
     const Array<float> terms(device, kLossTerms, "loss terms");
     const auto n = static_cast<std::uint32_t>(values.size());
     constexpr LearningRates kRates{1e-3, 1e-3, 5e-3, 0.05, 0.01, 0.05};

@@ -51,12 +51,12 @@ struct Passes {
     Passes(Device& device, const ImageFormationModel& model, const RandomScene& s,
            const std::vector<reference::PixelGradient>& g, const RendererOptions& options,
            const BackwardOptions& sums = {})
-        : placed(to_scene(to_surfels(s.world.surfels), s.world.instances)),
+        : placed(to_scene(s.world)),
           differentiable(device, placed.scene, model, add_hit_room(options, s.rays.size()),
                          {.sums = sums, .requested_gradients = {.rays = true, .poses = true}}),
           renderer(differentiable.renderer()),
-          rays(device, std::span<const DeviceRay>(to_device_rays(to_world_rays(s.rays))), "rays"),
-          targets(device, std::span<const shared::DeviceTarget>(to_targets(s.rays)), "targets"),
+          rays(device, to_device_rays(to_world_rays(s.rays)), "rays"),
+          targets(device, to_targets(s.rays), "targets"),
           view_origin(s.view_origin) {
         renderer.scene().upload_instance_poses_and_wait(placed.world_from_instance);
         std::vector<shared::RayGradient> u;

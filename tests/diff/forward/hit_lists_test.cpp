@@ -52,7 +52,7 @@ struct Placed {
           stream(device),
           scene(device, placed.scene),
           accel(device, scene, {.proxy = provider.proxy}),
-          rays(device, std::span<const DeviceRay>(to_device_rays(test_case.rays)), "rays") {
+          rays(device, to_device_rays(test_case.rays), "rays") {
         model.primitive = test_case.surfels.primitive;
         scene.upload_instance_poses_and_wait(placed.world_from_instance);
         scene.record_activation_of_surfel_parameters(stream, model, glm::vec3(0.0f));

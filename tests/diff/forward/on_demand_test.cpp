@@ -27,17 +27,13 @@ protected:
     };
     Found trace(const test::RandomScene& random, const ImageFormationModel& model,
                 const TraceOptions& options) {
-        const test::SceneAndPoses placed =
-            test::to_scene(test::to_surfels(random.world.surfels), random.world.instances);
+        const test::SceneAndPoses placed = test::to_scene(random.world);
         const std::uint32_t n_rays = std::uint32_t(random.rays.size());
         // adds an extra ray, to detect writes beyond the end
         Renderer renderer(device(), placed.scene, model, {.trace = options, .n_rays = n_rays + 1});
         renderer.scene().upload_instance_poses_and_wait(placed.world_from_instance);
-        const Array<DeviceRay> rays(
-            device(), std::span<const DeviceRay>(to_device_rays(test::to_world_rays(random.rays))), "rays");
-        const std::vector<shared::DeviceTarget> measured = test::to_targets(random.rays);
-        const Array<shared::DeviceTarget> targets(device(), std::span<const shared::DeviceTarget>(measured),
-                                                  "targets");
+        const Array<DeviceRay> rays(device(), to_device_rays(test::to_world_rays(random.rays)), "rays");
+        const Array<shared::DeviceTarget> targets(device(), test::to_targets(random.rays), "targets");
         const Array<shared::RenderedSurface>* surfaces = renderer.get_last_rendered_batch().surfaces;
         if (surfaces) renderer.stream().fill(*surfaces, 0xc0e00000u);  // -7 as a float
         renderer.record_scene_update_for_view(glm::vec3(random.view_origin));
@@ -151,15 +147,11 @@ TEST_F(OnDemand, ModeAgreesWithDoubleReference) {
 TEST_F(OnDemand, LikelihoodOfEveryThirdRay) {
     const test::RandomSceneOptions options{.seed = 27, .rays = 60};
     const test::RandomScene scene = test::make_random_scene(options, {});
-    const test::SceneAndPoses placed =
-        test::to_scene(test::to_surfels(scene.world.surfels), scene.world.instances);
+    const test::SceneAndPoses placed = test::to_scene(scene.world);
     Renderer renderer(device(), placed.scene, {}, {.trace = {.likelihood = kKernel}, .n_rays = 60});
-    renderer.scene().upload_instance_poses_and_wait(placed.world_from_instance);
-    renderer.record_scene_update_for_view(glm::vec3(scene.view_origin));
-    const Array<DeviceRay> rays(
-        device(), std::span<const DeviceRay>(to_device_rays(test::to_world_rays(scene.rays))), "rays");
-    const Array<shared::DeviceTarget> targets(
-        device(), std::span<const shared::DeviceTarget>(test::to_targets(scene.rays)), "targets");
+    renderer.record_scene_update_for_view(placed.world_from_instance, glm::vec3(scene.view_origin));
+    const Array<DeviceRay> rays(device(), to_device_rays(test::to_world_rays(scene.rays)), "rays");
+    const Array<shared::DeviceTarget> targets(device(), test::to_targets(scene.rays), "targets");
     const auto likelihoods = [&](const RayBatch& batch) {
         renderer.record_forward_pass(batch);
         renderer.stream().submit_and_wait();
@@ -181,12 +173,10 @@ TEST_F(OnDemand, OfARenderer) {
     const reference::Settings settings;
     const test::RandomScene scene = test::make_random_scene(options, settings);
     const reference::BruteForce brute(scene.world, settings.image, reference::Precision::double_record);
-    const test::SceneAndPoses placed =
-        test::to_scene(test::to_surfels(scene.world.surfels), scene.world.instances);
+    const test::SceneAndPoses placed = test::to_scene(scene.world);
     for (const bool with_normals : {true, false}) {
         Renderer renderer(device(), placed.scene, settings.image, {.trace = {.normals = with_normals}});
-        renderer.scene().upload_instance_poses_and_wait(placed.world_from_instance);
-        renderer.record_scene_update_for_view(glm::vec3(scene.view_origin));
+        renderer.record_scene_update_for_view(placed.world_from_instance, glm::vec3(scene.view_origin));
         const RenderedRayValues actual = renderer.render_rays(test::to_world_rays(scene.rays));
         ASSERT_EQ(actual.normal.size(), with_normals ? scene.rays.size() : 0u);
         for (std::size_t i = 0; i < actual.normal.size(); ++i) {

@@ -96,14 +96,12 @@ TEST_F(Forward, AgreesWithDoubleReference) {
             std::ranges::count_if(e.instance, [](std::int32_t label) { return label > 0; });
         EXPECT_TRUE(on_actors >= 10 && on_actors <= 290)
             << on_actors << " of 300 rays meet an actor first: the scene does not test labels";
-        test::SceneAndPoses placed =
-            test::to_scene(test::to_surfels(scene.world.surfels), scene.world.instances);
+        test::SceneAndPoses placed = test::to_scene(scene.world);
         for (const auto& [proxy, order, room] : kHitMethods) {
             Renderer renderer(device(), placed.scene, settings.image,
                               {.accel = {.proxy = proxy},
                                .trace = {.chunk = 5, .order = order, .initial_list_capacity = room}});
-            renderer.scene().upload_instance_poses_and_wait(placed.world_from_instance);
-            renderer.record_scene_update_for_view(glm::vec3(scene.view_origin));
+            renderer.record_scene_update_for_view(placed.world_from_instance, glm::vec3(scene.view_origin));
             const RenderedRayValues r = renderer.render_rays(test::to_world_rays(scene.rays));
             EXPECT_EQ(r.hits, e.hits);
             EXPECT_EQ(r.instance, e.instance);
@@ -145,11 +143,9 @@ TEST_F(Forward, SingleDropLogitAgreesWithDoubleReference) {
         const test::RandomScene scene = test::make_random_scene(options, settings);
         settings.view_origin = scene.view_origin;
         const Expected e = render_reference(scene, settings);
-        const test::SceneAndPoses placed =
-            test::to_scene(test::to_surfels(scene.world.surfels), scene.world.instances);
+        const test::SceneAndPoses placed = test::to_scene(scene.world);
         Renderer renderer(device(), placed.scene, settings.image, {.trace = {.chunk = 5}});
-        renderer.scene().upload_instance_poses_and_wait(placed.world_from_instance);
-        renderer.record_scene_update_for_view(glm::vec3(scene.view_origin));
+        renderer.record_scene_update_for_view(placed.world_from_instance, glm::vec3(scene.view_origin));
         const RenderedRayValues r = renderer.render_rays(test::to_world_rays(scene.rays));
         EXPECT_EQ(r.hit_logit, std::vector<float>(scene.rays.size(), 0.0f));
         EXPECT_LE(compute_normalised_error(r.drop_logit, e.drop_logit), test::kKernelNmse);
@@ -165,15 +161,13 @@ TEST_F(Forward, SingleDropLogitAgreesWithDoubleReference) {
 TEST_F(Forward, ThinGaussiansApproachSurfels) {
     const test::RandomSceneOptions options{.seed = 23, .rays = 200};
     const test::RandomScene random = test::make_random_scene(options, {});
-    const test::SceneAndPoses placed =
-        test::to_scene(test::to_surfels(random.world.surfels), random.world.instances);
+    const test::SceneAndPoses placed = test::to_scene(random.world);
     const WorldRays rays = test::to_world_rays(random.rays);
     const auto rendered = [&](const Scene& scene) {
         ImageFormationModel model;
         model.primitive = scene.surfels.primitive;
         Renderer renderer(device(), scene, model);
-        renderer.scene().upload_instance_poses_and_wait(placed.world_from_instance);
-        renderer.record_scene_update_for_view(glm::vec3(0.0f));
+        renderer.record_scene_update_for_view(placed.world_from_instance, glm::vec3(0.0f));
         return renderer.render_rays(rays);
     };
     const RenderedRayValues flat = rendered(placed.scene);

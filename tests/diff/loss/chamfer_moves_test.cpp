@@ -46,8 +46,8 @@ double measure_distance_after(Device& device, float shift, bool cut_gradient, bo
     std::vector<DeviceRay> rays;
     std::vector<DeviceTarget> targets;
     measure_wall(kSide, rays, targets);
-    const Array<DeviceRay> device_rays(device, std::span<const DeviceRay>(rays), "rays");
-    const Array<DeviceTarget> device_targets(device, std::span<const DeviceTarget>(targets), "targets");
+    const Array<DeviceRay> device_rays(device, rays, "rays");
+    const Array<DeviceTarget> device_targets(device, targets, "targets");
     LossWeights weights;
     weights.depth = weights.intensity = weights.drop = 0.0f;
     weights.chamfer = 1.0f;

@@ -85,8 +85,8 @@ FoundChamfer compute_device_chamfer(Device& device, const Clouds& clouds, const 
     Stream stream(device);
     const Array<shared::RenderedRay> r(device, rendered, "rendered");
     const Array<float> terms(device, std::vector<float>(kLossTerms, 0.0f), "terms");
-    const Array<DeviceRay> device_rays(device, std::span<const DeviceRay>(rays), "rays");
-    const Array<DeviceTarget> t(device, std::span<const DeviceTarget>(targets), "targets");
+    const Array<DeviceRay> device_rays(device, rays, "rays");
+    const Array<DeviceTarget> t(device, targets, "targets");
     Array<shared::RayGradient> upstream(device, n, "upstream");
     stream.fill(upstream);
     loss.record_ray_losses(stream,

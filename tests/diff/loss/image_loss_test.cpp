@@ -70,7 +70,7 @@ TEST_F(ImageLossTest, AgreesWithReference) {
             ImageLoss loss(device(), weights);
             Stream stream(device());
             const Array<shared::RenderedRay> rendered(device(), d.rendered, "rendered");
-            const Array<DeviceTarget> targets(device(), std::span<const DeviceTarget>(d.targets), "targets");
+            const Array<DeviceTarget> targets(device(), d.targets, "targets");
             Array<shared::RayGradient> upstream(device(), n + 1, "upstream");
             const Array<float> sums(device(), std::vector<float>(kLossTerms, 0.0f), "terms");
             stream.fill(upstream, 0x7fc00000u);
@@ -102,7 +102,7 @@ TEST_F(ImageLossTest, MaskedRaysAreIgnoredAndStrideSelects) {
     for (std::size_t i = 0; i < 64; ++i) d.targets[i].weight = i % 4 == 1 ? 1.0f : 0.0f;
     ImageLoss loss(device(), {});
     Stream stream(device());
-    const Array<DeviceTarget> targets(device(), std::span<const DeviceTarget>(d.targets), "targets");
+    const Array<DeviceTarget> targets(device(), d.targets, "targets");
     const Array<shared::RenderedRay> rendered(device(), d.rendered, "rendered");
     const Array<float> sums(device(), std::vector<float>(kLossTerms, 0.0f), "terms");
     Array<shared::RayGradient> upstream(device(), 16, "upstream");

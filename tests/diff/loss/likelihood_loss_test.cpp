@@ -38,7 +38,7 @@ TEST_F(LikelihoodTerm, AgreesWithReference) {
     const double term = reference::compute_likelihood_loss(pixels, expected_targets, 0.02, &expected);
     const Array<shared::RenderedRay> rendered(device(), rays, "rendered");
     const Array<float> terms(device(), std::vector<float>(kLossTerms, 0.0f), "terms");
-    const Array<DeviceTarget> targets(device(), std::span<const DeviceTarget>(measured), "targets");
+    const Array<DeviceTarget> targets(device(), measured, "targets");
     std::vector<shared::RayGradient> others(kRays);
     for (shared::RayGradient& g : others) g.depth = 3.0f;
     Array<shared::RayGradient> upstream(device(), others, "upstream");

@@ -58,7 +58,7 @@ Result compute_device_ssim(Device& device, const Image& image, float share, std:
     Stream stream(device);
     const Array<shared::RenderedRay> r(device, rendered, "rendered");
     const Array<float> terms(device, std::vector<float>(kLossTerms, 0.0f), "terms");
-    const Array<DeviceTarget> t(device, std::span<const DeviceTarget>(targets), "targets");
+    const Array<DeviceTarget> t(device, targets, "targets");
     Array<shared::RayGradient> upstream(device, n, "upstream");
     const ImageShape shape{static_cast<std::uint32_t>(image.rows), static_cast<std::uint32_t>(image.columns),
                            image.circular};

@@ -51,8 +51,7 @@ TEST_F(SurfelLossTest, AgreesWithReference) {
         SurfelArrays d(device(), static_cast<std::uint32_t>(n), "gradient", scene.surfels.primitive);
         d.record_zero_fill(stream);
         stream.fill(d.mean, 0x3e800000u);  // 0.25
-        const Array<std::uint32_t, shared::TouchedSurfels> rows(
-            device(), std::span<const std::uint32_t>(touched), "touched");
+        const Array<std::uint32_t, shared::TouchedSurfels> rows(device(), touched, "touched");
         const Array<float> terms(device(), std::vector<float>(kLossTerms, 0.0f), "terms");
         ActorBoxLoss loss(device(), weights);
         loss.record_regularisation_losses(stream, on_device, {&d, all ? nullptr : &rows}, terms);

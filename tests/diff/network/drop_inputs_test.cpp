@@ -58,10 +58,8 @@ TEST_F(DropInputsTest, TurnsWhatIsSeenAndKeepsTheSensorsOwn) {
             Stream stream(device());
             const auto samples = test::to_device<shared::DropSamples>(device(), values.values);
             const auto targets = test::to_device<shared::SampleTargets>(device(), target_values);
-            const Array<std::uint32_t, shared::ChosenSamples> chosen(
-                device(), std::span<const std::uint32_t>(kChosen), "chosen");
-            const Array<std::uint32_t, shared::SampleTurns> turns(
-                device(), std::span<const std::uint32_t>(column_shifts), "turn");
+            const Array<std::uint32_t, shared::ChosenSamples> chosen(device(), kChosen, "chosen");
+            const Array<std::uint32_t, shared::SampleTurns> turns(device(), column_shifts, "turn");
             const Array<glm::vec2> affine = test::upload_pairs(device(), scale(), shift());
             const std::size_t n = kImages * grid.count_pixels_per_image();
             const Array<float> images(device(), n * kChannels + 1, "images");

@@ -43,7 +43,7 @@ inline refine::ImageBatchSize get_grid(const ImageBatch& images) {
 template <class Meaning = void>
 Array<float, Meaning> to_device(Device& device, const std::vector<double>& values) {
     const std::vector<float> floats(values.begin(), values.end());
-    return {device, std::span<const float>(floats), "values"};
+    return {device, floats, "values"};
 }
 
 template <class Meaning = void>
@@ -51,7 +51,7 @@ Array<glm::vec2, Meaning> upload_pairs(Device& device, const std::vector<double>
                                        const std::vector<double>& y) {
     std::vector<glm::vec2> pairs;
     for (std::size_t i = 0; i < x.size(); ++i) pairs.emplace_back(float(x[i]), float(y[i]));
-    return {device, std::span<const glm::vec2>(pairs), "pairs"};
+    return {device, pairs, "pairs"};
 }
 
 inline std::vector<double> to_doubles(const Array<float>& values) {
@@ -87,7 +87,7 @@ public:
     }
 
     refine::ChannelSlice slice() const {
-        return tensor_.get_all_channels().get_channel_range(before_, std::uint32_t(shape_.channels));
+        return tensor_.get_channel_range(before_, std::uint32_t(shape_.channels));
     }
     ImageBatch read() const {
         std::vector<float> values = tensor_.values.download();

@@ -52,7 +52,7 @@ TEST_P(AdamThreads, MeansLearnAtTheRateOfTheirModel) {
     const std::uint32_t n = 90, n_fixed = 11;
     std::vector<shared::ModelEntry> entries(3);
     entries[1].first_surfel = entries[2].first_surfel = 40;
-    const Array<shared::ModelEntry> models(device(), std::span<const shared::ModelEntry>(entries), "models");
+    const Array<shared::ModelEntry> models(device(), entries, "models");
     const LearningRates rates{.mean = 1e-2,
                               .rotation = 2e-3,
                               .log_scale = 3e-3,
@@ -186,8 +186,7 @@ TEST_P(AdamThreads, AgreeWithAdamInDouble) {
             gradients.upload(g.back());
             std::vector<std::uint32_t> touched(n);
             for (std::uint32_t i = 0; i < n; ++i) touched[i] = is_touched(i, t);
-            const Array<std::uint32_t, shared::TouchedSurfels> on_device(
-                device(), std::span<const std::uint32_t>(touched), "touched");
+            const Array<std::uint32_t, shared::TouchedSurfels> on_device(device(), touched, "touched");
             adam.record_adam_step(stream, parameters, gradients,
                                   untouched == Untouched::none ? nullptr : &on_device, kRates, t, 2);
             stream.submit_and_wait();

@@ -25,12 +25,11 @@ protected:
     reference::Settings settings;
     test::RandomScene scene =
         test::make_random_scene({.seed = 81, .actor_instances = 1, .rays = 40}, settings);
-    test::SceneAndPoses placed = test::to_scene(test::to_surfels(scene.world.surfels), scene.world.instances);
+    test::SceneAndPoses placed = test::to_scene(scene.world);
     WorldRays rays = test::to_world_rays(scene.rays);
 
     void place(Renderer& renderer) {
-        renderer.scene().upload_instance_poses_and_wait(placed.world_from_instance);
-        renderer.record_scene_update_for_view(glm::vec3(scene.view_origin));
+        renderer.record_scene_update_for_view(placed.world_from_instance, glm::vec3(scene.view_origin));
     }
 };
 
@@ -140,7 +139,7 @@ TEST_F(Differentiable, ArraysOfSeveralAllocationsGiveTheSameBits) {
 /// A renderer that is destroyed while the device renders must keep its arrays until the
 /// device has finished.
 TEST_F(Differentiable, ArraysOutliveSubmittedWork) {
-    const Array<DeviceRay> device_rays(device(), std::span<const DeviceRay>(to_device_rays(rays)), "rays");
+    const Array<DeviceRay> device_rays(device(), to_device_rays(rays), "rays");
     const RayBatch batch{&device_rays, 0, 1, static_cast<std::uint32_t>(rays.size())};
     const test::WorkInFlight work;
     {

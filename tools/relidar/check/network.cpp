@@ -68,12 +68,9 @@ double compute_convolution_error_on_gpu(Device& device, int n_kernel_taps) {
     refine::ConvolutionKernels conv(device, std::uint32_t(n_kernel_taps));
     conv.reserve_partial_sums(device, conv.count_partial_sum_floats(inputs.grid, n_in, n_out));
     Stream stream(device);
-    conv.run_convolution(stream, inputs.get_all_channels(), weights_there.address(), bias_there.address(),
-                         outputs.get_all_channels());
-    conv.backpropagate_input(stream, d_outputs.get_all_channels(), weights_there.address(),
-                             d_inputs.get_all_channels());
-    conv.backpropagate_weights(stream, inputs.get_all_channels(), d_outputs.get_all_channels(),
-                               d_weights.address());
+    conv.run_convolution(stream, inputs, weights_there.address(), bias_there.address(), outputs);
+    conv.backpropagate_input(stream, d_outputs, weights_there.address(), d_inputs);
+    conv.backpropagate_weights(stream, inputs, d_outputs, d_weights.address());
     stream.submit_and_wait();
     return std::max(
         {compute_max_relative_error(outputs.values.download(),
