@@ -53,7 +53,7 @@ struct PoseProblem {
         std::vector<reference::Ray> rays = scene.rays;
         for (reference::Ray& ray : rays)
             ray = {settings.view_origin + rotation * (ray.origin - settings.view_origin) + vector,
-                   rotation * ray.direction, 0.0, ray.time_s};
+                   rotation * ray.direction, ray.measured_m, ray.time_s};
         return terms(rays, s);
     }
 };
