@@ -5,9 +5,7 @@
 
 #include <algorithm>
 #include <cmath>
-#include <filesystem>
 #include <iterator>
-#include <system_error>
 
 #include <fmt/format.h>
 
@@ -20,26 +18,6 @@
 #include "train/poses/register_options.hpp"
 
 namespace relidar {
-
-LidarSequence load_log(const Config& config, const ProgressReporter& progress, int max_scans) {
-    DatasetOptions options;
-    options.sequence = config.dataset.sequence;
-    options.lidars = split_comma_separated_list(config.dataset.lidars);
-    options.frames = {config.dataset.frames_begin, config.dataset.frames_end};
-    options.poses_file = config.dataset.poses;
-    options.skip_broken = config.dataset.skip_broken;
-    options.rolling_shutter = config.sensor.rolling_shutter != RollingShutter::no;
-    options.max_range_m = config.dataset.max_range_m > 0.0 ? config.dataset.max_range_m : INFINITY;
-    options.min_range_m = config.dataset.min_range_m;
-    options.bag.poses_from = config.dataset.poses_from;
-    options.waymo.clamp_intensity = config.dataset.waymo_intensity == "clamp";
-    options.progress = progress;
-    options.max_scans = max_scans;
-    std::error_code failed;
-    const std::filesystem::path folder = std::filesystem::temp_directory_path(failed);
-    store_scans_above_limit_in_file(std::uint64_t(config.dataset.memory_mib) << 20, failed ? "/tmp" : folder);
-    return load_sequence(config.dataset.path, options);
-}
 
 namespace {
 

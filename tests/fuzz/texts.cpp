@@ -85,13 +85,6 @@ void read_track(std::string_view input, const fs::path& folder) {
     (void)track.interpolate_pose(track.time_s.front() + 0.1);
 }
 
-void read_entities(std::string_view input, const fs::path& folder) {
-    put(folder / "s.xosc", input);
-    for (const ScenarioEntity& entity : read_openscenario_entities(folder / "s.xosc"))
-        if (!entity.world_from_reference.pose.empty() && entity.world_from_reference.pose.size() < 100)
-            convert_to_box_track(entity, 0.0, {4, 2, 1.5});
-}
-
 /// Builds TOML text from tokens. Each byte of the input selects a token.
 std::string format_toml(std::string_view input) {
     constexpr std::string_view kTokens =  // separated by |
@@ -126,28 +119,10 @@ void read_tokens(std::string_view input, const fs::path& folder) {
     read_street(text, folder);
 }
 
-constexpr const char* kScenario =
-    R"(<OpenSCENARIO><ParameterDeclarations><ParameterDeclaration name="p" value="3"/>
-</ParameterDeclarations><Entities><ScenarioObject name="v"><Vehicle><BoundingBox>
-<Center x="1" y="0" z="1"/><Dimensions width="2" length="5" height="2"/></BoundingBox>
-</Vehicle></ScenarioObject></Entities><Storyboard><Init><Actions/></Init><Story><Act>
-<ManeuverGroup><Actors><EntityRef entityRef="v"/></Actors><Maneuver><Event><Action>
-<PrivateAction><RoutingAction><FollowTrajectoryAction><Trajectory><Shape><Polyline>
-<Vertex time="0"><Position><WorldPosition x="$p" y="1"/></Position></Vertex>
-<Vertex time="4"><Position><WorldPosition x="8" y="1" h="1"/></Position></Vertex>
-</Polyline></Shape></Trajectory><TimeReference>
-<Timing domainAbsoluteRelative="relative" scale="1" offset="0"/></TimeReference>
-</FollowTrajectoryAction></RoutingAction></PrivateAction></Action><StartTrigger>
-<ConditionGroup><Condition delay="1"><ByValueCondition>
-<SimulationTimeCondition value="2" rule="greaterThan"/></ByValueCondition></Condition>
-</ConditionGroup></StartTrigger></Event></Maneuver></ManeuverGroup></Act></Story>
-</Storyboard></OpenSCENARIO>)";
-
 }  // namespace
 
 std::vector<Harness> list_text_harnesses() {
     return {
-        {"scenario", [](const fs::path&) { return std::vector<std::string>{kScenario}; }, read_entities},
         {"config",
          [](const fs::path&) {
              return std::vector{to_toml(make_preset_config("quick")),

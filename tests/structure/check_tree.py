@@ -27,7 +27,7 @@ LIBRARIES = {
     "volk": "gpu", "vulkan/": "gpu", "Imf": "base/codecs", "png.h": "base/codecs", "zip.h": "base/codecs",
     "lz4frame.h": "base/codecs", "flatbuffers/": "base/codecs", "sqlite3.h": "log/readers/bag",
     "bzlib.h": "log/readers/bag", "pcap/": "log/readers/bag", "simdjson.h": "log/readers",
-    "protozero/": "log/readers simulate/scan_files", "pugixml.hpp": "log run", "toml++/": "log run",
+    "protozero/": "log/readers simulate/scan_files", "pugixml.hpp": "log", "toml++/": "log run",
     "nlohmann/": "base log run simulate", "nanoflann.hpp": "base scene score", "tbb/": "base",
     "oneapi/tbb": "base", "Eigen/": "base log scene score"}
 UMBRELLA = "include/relidar/relidar.hpp"

@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 #include <relidar/base/error.hpp>
 #include <relidar/score/evaluation.hpp>
-#include <relidar/train/train.hpp>
 #include "calls.hpp"
 #include "module.hpp"
 #include "run.hpp"
@@ -37,6 +36,7 @@ py::dict evaluate_run(LoadedRun& run, const LoadedLog* log, const std::optional<
     LidarSequence read;
     if (!log) {
         const py::gil_scoped_release others_run;
+        store_scans_above_limit_in_file(std::uint64_t(run.run.config.dataset.memory_mib) << 20);
         read = load_log(run.run.config, progress);
     }
     const EvaluationResult evaluation =

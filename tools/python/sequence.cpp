@@ -11,8 +11,8 @@
 
 #include <relidar/base/error.hpp>
 #include <relidar/log/dataset.hpp>
+#include <relidar/run/run.hpp>
 #include <relidar/run/stage_options.hpp>
-#include <relidar/train/train.hpp>
 #include "arrays.hpp"
 #include "calls.hpp"
 #include "integers.hpp"
@@ -30,6 +30,7 @@ LoadedLog load_dataset_log(const std::string& dataset_path, const std::optional<
     LoadedLog log{{}, config.value_or(make_preset_config("default"))};
     log.config.dataset.path = make_dataset_path_absolute(dataset_path);
     const py::gil_scoped_release others_run;
+    store_scans_above_limit_in_file(std::uint64_t(log.config.dataset.memory_mib) << 20);
     log.sequence = load_log(log.config, wrap_python_progress_callback(progress));
     log.config = replace_automatic_max_range(std::move(log.config), log.sequence);
     return log;

@@ -14,8 +14,8 @@
 #include <relidar/base/error.hpp>
 #include <relidar/diff/first_use.hpp>
 #include <relidar/log/channels.hpp>
+#include <relidar/run/run.hpp>
 #include <relidar/simulate/weather.hpp>
-#include <relidar/train/train.hpp>
 #include "console.hpp"
 
 namespace relidar::cli {
@@ -250,6 +250,7 @@ std::string make_absolute_path(const std::string& path) {
 
 LidarSequence load_dataset(const Config& config, bool quiet, int max_scans_per_lidar) {
     TerminalProgress progress(quiet);
+    store_scans_above_limit_in_file(std::uint64_t(config.dataset.memory_mib) << 20);
     LidarSequence sequence = load_log(config, make_terminal_progress_callback(progress), max_scans_per_lidar);
     if (!sequence.frames.empty())
         print_note_if_frames_after_log_end({config.dataset.frames_begin, config.dataset.frames_end},

@@ -6,7 +6,6 @@
 #include <relidar/base/error.hpp>
 #include <relidar/run/run.hpp>
 #include <relidar/score/evaluation.hpp>
-#include <relidar/train/train.hpp>
 
 namespace relidar::view {
 namespace {
@@ -42,6 +41,7 @@ void RecordedScans::load_measured_scans() {
         const ProgressReporter until_stopped = [this](std::string_view, double) {
             if (stop_) throw Error(ExitCode::interrupted, "interrupted while the log was being read");
         };
+        store_scans_above_limit_in_file(std::uint64_t(frames_->config.dataset.memory_mib) << 20);
         const LidarSequence log = load_log(frames_->config, until_stopped);
         std::vector<int> all(frames_->sequence.frames.size());
         std::iota(all.begin(), all.end(), 0);

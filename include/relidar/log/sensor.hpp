@@ -29,8 +29,8 @@ namespace relidar {
 /// @param max_bytes  0: half of the memory of the machine or of the control group,
 /// divided by the number of processes (divide_scan_memory_among_processes())
 /// @param overflow_folder  folder of the file; the file is created when the first array
-/// needs it
-void store_scans_above_limit_in_file(std::uint64_t max_bytes, const std::filesystem::path& overflow_folder);
+/// needs it; empty: the system's folder for temporary files
+void store_scans_above_limit_in_file(std::uint64_t max_bytes, std::filesystem::path overflow_folder = {});
 
 /// Sets the number of processes on this machine that load scans. These processes share
 /// the memory limit. The default is one process.

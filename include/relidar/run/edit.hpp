@@ -173,36 +173,4 @@ std::string describe_unobserved_sides(const Scene& scene, const std::string& tra
 /// or there are fewer than two poses
 PoseTrack read_trajectory_csv(const std::filesystem::path& path);
 
-/// Vehicle or other entity of an OpenSCENARIO file, with the trajectory that it follows.
-struct ScenarioEntity {
-    std::string name;
-    /// Poses of the entity's reference point over the time of the scenario, seconds.
-    /// Empty if the entity follows no trajectory.
-    PoseTrack world_from_reference;
-    /// Centre of the bounding box relative to the reference point, [3] metres: x forward,
-    /// y left, z up.
-    glm::dvec3 centre_m{0.0};
-    glm::dvec3 size_m{0.0};  ///< Length, width and height of the bounding box, [3] metres.
-    /// XML element names of the actions that do not make the entity follow a trajectory.
-    /// relidar ignores these actions.
-    std::vector<std::string> ignored;
-};
-
-/// Reads the entities of an OpenSCENARIO XML 1.x file and their trajectories. Supports
-/// one FollowTrajectoryAction per entity, in Init or in an event of a Story. The
-/// trajectory must be a polyline whose vertices are WorldPosition elements with times.
-/// The times are absolute, or relative to an event that a SimulationTimeCondition starts.
-/// "$name" refers to a parameter of the scenario. Missing z, h, p, r are 0. The rotation
-/// is R = Rz(h) Ry(p) Rx(r).
-/// @throws DataError naming entity and element if a trajectory has any other form, or if
-/// an entity with a trajectory has no BoundingBox
-std::vector<ScenarioEntity> read_openscenario_entities(const std::filesystem::path& path);
-
-/// Converts the trajectory of a scenario entity to the track of an actor that replaces
-/// it. The boxes of actor and entity have the same centre in x and y and the same bottom.
-/// @param scenario_start_s time of the log at which the scenario begins
-/// @param box_size_m [3] size of the actor's box, metres
-PoseTrack convert_to_box_track(const ScenarioEntity& entity, double scenario_start_s,
-                               const glm::dvec3& box_size_m);
-
 }  // namespace relidar

@@ -9,6 +9,7 @@
 #include <utility>
 #include <vector>
 
+#include <relidar/base/progress.hpp>
 #include <relidar/diff/network.hpp>
 #include <relidar/log/classes.hpp>
 #include <relidar/log/coverage.hpp>
@@ -85,6 +86,13 @@ void overwrite_run(const TrainedRun& run, const std::function<void()>& remove_ea
 /// Writes a run and deletes everything else in an existing folder. The replacement is
 /// atomic if the file system can exchange two folders in one operation.
 void replace_folder_by_run_atomically(const TrainedRun& run);
+
+/// Loads the log that config.dataset describes. Uses a rolling shutter if config.sensor
+/// enables it. config.dataset.memory_mib is not used: call
+/// store_scans_above_limit_in_file() before.
+/// @param max_scans maximum number of scans, as in DatasetOptions::max_scans
+/// @throws errors of load_sequence()
+LidarSequence load_log(const Config& config, const ProgressReporter& progress = {}, int max_scans = 0);
 
 /// Loads a run folder.
 /// @throws DataError naming the file that is missing, truncated or inconsistent

@@ -134,12 +134,6 @@ struct LogPreparationCallbacks {
 void prepare_log_for_training(LidarSequence& sequence, const TrainTestSplit& split, const Config& config,
                               LogPreparationCallbacks callbacks = {});
 
-/// Loads the log that config.dataset describes. Uses a rolling shutter if config.sensor
-/// enables it.
-/// @param max_scans maximum number of scans, as in DatasetOptions::max_scans
-/// @throws errors of load_sequence()
-LidarSequence load_log(const Config& config, const ProgressReporter& progress = {}, int max_scans = 0);
-
 /// Trains a scene on the training frames of a prepared log. Existing checkpoints are kept
 /// if an error occurs.
 /// @throws UsageError if the session's checkpoint does not match the settings

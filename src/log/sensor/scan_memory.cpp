@@ -17,6 +17,7 @@
 #include <new>
 #include <string>
 #include <system_error>
+#include <utility>
 
 #include <fcntl.h>
 #include <sys/mman.h>
@@ -166,10 +167,13 @@ std::uint64_t get_physical_or_cgroup_memory_bytes() {
 
 }  // namespace
 
-void store_scans_above_limit_in_file(std::uint64_t max_bytes, const fs::path& overflow_folder) {
+void store_scans_above_limit_in_file(std::uint64_t max_bytes, fs::path overflow_folder) {
+    std::error_code failed;
+    if (overflow_folder.empty()) overflow_folder = fs::temp_directory_path(failed);
+    if (failed) overflow_folder = "/tmp";
     ScanMemoryState& m = get_scan_memory_state();
     const std::lock_guard lock(m.mutex);
-    m.folder = overflow_folder;
+    m.folder = std::move(overflow_folder);
     m.limit =
         max_bytes > 0 ? max_bytes : get_physical_or_cgroup_memory_bytes() / 2 / std::uint64_t(m.processes);
 }

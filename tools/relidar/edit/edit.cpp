@@ -72,7 +72,7 @@ void run_edit_command(const EditOptions& options) {
     if (options.edits.empty() && options.ply.empty())
         throw UsageError(
             "no edit is given; expected at least one of --remove, --move, --retime, --trajectory, --copy, "
-            "--insert, --scenario, --keep and --from-ply (see `relidar edit --help`)");
+            "--insert, --keep and --from-ply (see `relidar edit --help`)");
     std::error_code failed;
     if (std::filesystem::equivalent(options.run, options.out, failed))
         fail<UsageError>("--out {}: this is the folder of the run to edit; expected a different folder",
@@ -115,19 +115,12 @@ then faces as the log's vehicle did at its nearest point. A driving actor follow
 A trajectory has the times of the log. Between its lines, positions are interpolated linearly and
 rotations by slerp. Outside its times the actor is absent. Actors may overlap: a ray meets the
 nearest surface.
-An OpenSCENARIO file (XML 1.x) may have FollowTrajectoryActions in Init and in the events of a
-Story: polylines of vertices with time and WorldPosition (x, y, z, h, p, r), Timing (absolute or
-relative, scale, offset), SimulationTimeConditions that start acts and events, $parameters, and
-BoundingBoxes. A trajectory with anything else is an error. Other actions are skipped, each with
-a note. Its world is the dataset's, its time 0 is the log's first frame. An actor is placed where
-the box of its entity is, on the same ground.
 Examples:
   relidar edit run --out empty --remove 0
   relidar edit run --out lane --move 0:0,3.5,0 --retime 1:-0.5
   relidar edit run --out more --copy 0@12,3.5,0.9,180:8 --insert other#3@30,0,0.8,0:10
   relidar edit run --out parked --copy 0@12,3.5,ground
-  relidar edit run --out cleaned --from-ply scene.ply
-  relidar edit run --out cut_in --scenario cut_in.xosc@Ego=-,Car1=0,Van=assets/van-0)";
+  relidar edit run --out cleaned --from-ply scene.ply)";
 
 }  // namespace
 

@@ -4,14 +4,11 @@
 #include <algorithm>
 #include <cmath>
 #include <filesystem>
-#include <map>
 #include <optional>
-#include <sstream>
 #include <string_view>
 #include <utility>
 
 #include <fmt/format.h>
-#include <fmt/ranges.h>
 
 #include <relidar/base/error.hpp>
 #include <relidar/run/run.hpp>
@@ -271,102 +268,6 @@ EditResult apply_insert_edit(SceneWithLog driving_scene, const EditArgument& edi
             note};
 }
 
-bool is_track_in_scene_instances(const SceneWithLog& driving_scene, const std::string& track_id) {
-    return std::ranges::any_of(driving_scene.scene.instances, [&](const ModelInstance& i) {
-        return !track_id.empty() && i.track == track_id;
-    });
-}
-
-/// Parses "ENTITY=ACTOR,ENTITY=ACTOR". Each pair assigns an actor to an entity of an
-/// OpenSCENARIO file.
-std::map<std::string, std::string> parse_entity_actor_pairs(const EditArgument& edit_for_errors,
-                                                            const std::string& text) {
-    std::map<std::string, std::string> roles;
-    std::istringstream words(text);
-    for (std::string word; std::getline(words, word, ',');) {
-        auto [entity, actor] = split_text_at_required_separator(edit_for_errors, word, word.find('='));
-        if (!roles.emplace(entity, actor).second)
-            throw_edit_error(edit_for_errors, fmt::format("the entity {} only once", entity));
-    }
-    return roles;
-}
-
-void append_note_if_not_empty(std::string& notes, const std::string& new_note) {
-    if (!new_note.empty()) notes += (notes.empty() ? "" : "; ") + new_note;
-}
-
-/// Moves an actor along the trajectory of an entity of an OpenSCENARIO file. If the run
-/// does not contain the actor, inserts it from another run or an asset.
-void find_or_insert_actor_and_move_it(const EditArgument& edit, const ScenarioEntity& entity,
-                                      const std::string& track_or_external_actor, EditResult& applied_edit) {
-    SceneWithLog& driving = applied_edit.driving;
-    std::string track = track_or_external_actor;
-    const bool is_in_scene = is_track_in_scene_instances(driving, track_or_external_actor);
-    const BoxTrack before = copy_box_track_or_empty(driving, track_or_external_actor);
-    if (!is_in_scene) {
-        if (track_or_external_actor.find('#') == std::string::npos &&
-            !std::filesystem::exists(track_or_external_actor))
-            throw_edit_error(edit, fmt::format("{0}=TRACK with a track of this run, {0}=RUN#TRACK, or "
-                                               "{0}=ASSET with the folder of an asset",
-                                               entity.name));
-        const ExternalActor actor = load_actor_from_run_or_asset(edit, track_or_external_actor);
-        append_note_if_not_empty(applied_edit.note, format_warning_if_sensors_differ(actor, driving));
-        driving = insert_track(std::move(driving), actor.owner, actor.track, {});
-        track = get_track_id_of_last_instance(driving);
-    }
-    const double begin_s = driving.sequence.frames.front().time_s;
-    const glm::dvec3 size_m = copy_box_track_or_empty(driving, track).size_m;
-    driving = replace_trajectory(std::move(driving), track, convert_to_box_track(entity, begin_s, size_m));
-    applied_edit.said += fmt::format("{}{} follows {} of {}", applied_edit.said.empty() ? "" : "\n", track,
-                                     entity.name, edit.value.substr(0, edit.value.find('@')));
-    append_note_if_not_empty(applied_edit.note, format_warning_if_actor_misses_frames(
-                                                    driving, track, is_in_scene ? &before : nullptr));
-    if (!entity.ignored.empty())
-        append_note_if_not_empty(applied_edit.note,
-                                 fmt::format("the element {} of entity {} is not supported and is ignored",
-                                             fmt::join(entity.ignored, ", "), entity.name));
-}
-
-EditResult apply_openscenario_edit(SceneWithLog driving_scene, const EditArgument& edit) {
-    const std::size_t at = edit.value.find('@');
-    const std::string file = edit.value.substr(0, at);
-    std::map<std::string, std::string> roles;
-    if (at != std::string::npos)
-        roles = parse_entity_actor_pairs(edit, split_text_at_required_separator(edit, edit.value, at).second);
-    const std::vector<ScenarioEntity> entities = read_openscenario_entities(file);
-    for (const auto& [name, actor] : roles)
-        if (std::ranges::find(entities, name, &ScenarioEntity::name) == entities.end())
-            throw_edit_error(
-                edit, fmt::format("only entities that the file contains; the file has no entity {}", name));
-    EditResult applied{std::move(driving_scene), "", ""};
-    for (const ScenarioEntity& entity : entities) {
-        const auto role = roles.extract(entity.name);
-        const bool follows = !entity.world_from_reference.pose.empty();
-        std::string what;
-        if (role) what = role.mapped();
-        else if (is_track_in_scene_instances(applied.driving, entity.name)) what = entity.name;
-        if (role && what != "-" && !follows)
-            throw_edit_error(
-                edit,
-                fmt::format("only entities with a trajectory; the entity {} has no trajectory in the file",
-                            entity.name));
-        if (what.empty() && follows)
-            throw_edit_error(
-                edit, fmt::format("one of {0}=TRACK, {0}=RUN#TRACK, {0}=ASSET or {0}=- (ignore the entity) "
-                                  "after FILE.xosc@, because the run has no actor with the name {0}",
-                                  entity.name));
-        if (follows && what != "-") find_or_insert_actor_and_move_it(edit, entity, what, applied);
-        else
-            append_note_if_not_empty(
-                applied.note, fmt::format("entity {} is ignored, because {}", entity.name,
-                                          follows ? fmt::format("--scenario contains {}=-", entity.name)
-                                                  : "it has no trajectory"));
-    }
-    if (applied.said.empty())
-        throw_edit_error(edit, "a scenario with at least one entity that follows a trajectory");
-    return applied;
-}
-
 EditResult apply_keep_only_edit(SceneWithLog driving_scene, const EditArgument& edit) {
     if (edit.value == "background")
         return {remove_all_actors(std::move(driving_scene)), "kept only the background", ""};
@@ -394,10 +295,6 @@ const std::vector<EditOption>& list_edit_options() {
         {"--insert", "RUN#TRACK@PLACE|ASSET@PLACE",
          "add an actor of another run, or an asset of `relidar assets`; PLACE has the same form as in "
          "--copy"},
-        {"--scenario", "FILE.xosc[@ENTITY=TRACK,ENTITY=RUN#TRACK,ENTITY=ASSET,ENTITY=-]",
-         "move actors along the timed trajectories of an OpenSCENARIO file. Each entity of the file moves "
-         "the actor of the same name. ENTITY=TRACK selects another actor, ENTITY=RUN#TRACK and ENTITY=ASSET "
-         "insert an actor, and ENTITY=- ignores the entity"},
         {"--keep", "background|actors", "keep only the background or only the actors"}};
     return options;
 }
@@ -405,13 +302,9 @@ const std::vector<EditOption>& list_edit_options() {
 EditResult apply_command_line_edit(SceneWithLog driving_scene, const EditArgument& edit) {
     using Apply = EditResult (*)(SceneWithLog, const EditArgument&);
     static const std::vector<std::pair<std::string, Apply>> functions{
-        {"--remove", apply_remove_edit},
-        {"--move", apply_move_edit},
-        {"--retime", apply_motion_delay_edit},
-        {"--trajectory", apply_new_trajectory_edit},
-        {"--copy", apply_copy_edit},
-        {"--insert", apply_insert_edit},
-        {"--scenario", apply_openscenario_edit},
+        {"--remove", apply_remove_edit},       {"--move", apply_move_edit},
+        {"--retime", apply_motion_delay_edit}, {"--trajectory", apply_new_trajectory_edit},
+        {"--copy", apply_copy_edit},           {"--insert", apply_insert_edit},
         {"--keep", apply_keep_only_edit}};
     const auto function = std::find_if(functions.begin(), functions.end(),
                                        [&](const auto& f) { return f.first == edit.option; });

@@ -28,7 +28,6 @@
 #include "options.hpp"
 #include "output_folder.hpp"
 #include "ranks.hpp"
-#include "render/recast.hpp"
 
 namespace relidar::cli {
 namespace {
@@ -106,24 +105,6 @@ void write_and_open_report_page(const std::filesystem::path& page_file, const Re
     open_in_browser(make_absolute_path(page_file.string()));
 }
 
-/// Returns a note that explains what the scores of an edited run mean.
-std::string explain_scores_of_edited_run(const TrainedRun& run) {
-    if (run.edits.empty()) return "";
-    if (is_edited_synthetic_street_run(run))
-        return "note: the synthetic street was rendered again with the run's edits and without noise; the "
-               "scores edited/* use only the pixels that the edits change\n";
-    return "note: the run is edited, but the log shows the scene before the edits; the scores of changed "
-           "pixels do not measure the quality of the edit\n";
-}
-
-/// Adds scores of only those pixels that an edit has changed.
-/// @param original_scan exact scan of the synthetic street without the edit
-void add_metrics_of_edited_pixels(ScoredFrame& frame, const Config& config, const Scan& original_scan) {
-    frame.metrics.merge(evaluate_regions(
-        frame.rendered.image, frame.real,
-        {find_pixels_changed_by_edit(frame.real, make_measured_image(config, original_scan))}));
-}
-
 /// Keeps only the frames that this process scores. The other MPI processes score the
 /// remaining frames.
 void select_frames_of_this_process(std::vector<int>& frame_positions, const MpiProcessGroup& ranks) {
@@ -131,16 +112,6 @@ void select_frames_of_this_process(std::vector<int>& frame_positions, const MpiP
         ranks.get_process_group().get_range_of_process(frame_positions.size());
     frame_positions = {frame_positions.begin() + std::ptrdiff_t(share.begin),
                        frame_positions.begin() + std::ptrdiff_t(share.end)};
-}
-
-/// Sets the scans of the held-out frames in `run`. Usually copies them from the log. If
-/// the log is a synthetic street and the run was edited, computes exact scans of the
-/// edited street instead.
-/// @return exact scans of the street before the edits; empty if the scans were copied
-std::vector<Scan> set_held_out_scans_and_get_unedited_scans(TrainedRun& run, const LidarSequence& log) {
-    if (is_edited_synthetic_street_run(run)) return set_noise_free_scans_and_get_unedited_scans(run);
-    copy_scans_into_run(run, run.split.test, log);
-    return {};
 }
 
 void evaluate_trained_run(const EvalOptions& options, const MpiProcessGroup& ranks,
@@ -164,7 +135,7 @@ void evaluate_trained_run(const EvalOptions& options, const MpiProcessGroup& ran
     select_frames_of_this_process(run.split.test, ranks);
     Device device(convert_to_device_options(options.device));
     const LidarSequence log = load_dataset(run.config, options.quiet);
-    const std::vector<Scan> before = set_held_out_scans_and_get_unedited_scans(run, log);
+    copy_scans_into_run(run, run.split.test, log);
     if (!options.baseline.empty()) copy_scans_into_run(run, run.split.train, log);
 
     install_interrupt_handlers();
@@ -176,15 +147,16 @@ void evaluate_trained_run(const EvalOptions& options, const MpiProcessGroup& ran
         baseline = gather_evaluation_from_ranks(
             evaluate_baseline(options.baseline, run.config, run.sequence, run.split, callback), ranks);
     ScanRenderer renderer(device, run);
-    std::size_t n_scored_frames = 0;
-    const auto process_frame = [&](ScoredFrame& frame) {
-        if (!before.empty()) add_metrics_of_edited_pixels(frame, run.config, before[n_scored_frames++]);
+    const auto process_frame = [&](const ScoredFrame& frame) {
         output.write_frame_pictures_if_requested(frame, run.config);
     };
     EvaluationResult evaluation = gather_evaluation_from_ranks(
         evaluate_frames(renderer, run.config, run.sequence, run.split.test, callback, process_frame), ranks);
     if (!ranks.is_first_mpi_process()) return;
-    if (!options.quiet) print(explain_scores_of_edited_run(run));
+    if (!options.quiet && !run.edits.empty())
+        print(
+            "note: the run is edited, but the log shows the scene before the edits; the scores of changed "
+            "pixels do not measure the quality of the edit\n");
     write_and_print_evaluation_metrics(
         output, evaluation, run.config,
         {make_absolute_path(run.folder.string()), device.info().name, device.peak_allocated_bytes(),
@@ -192,7 +164,7 @@ void evaluate_trained_run(const EvalOptions& options, const MpiProcessGroup& ran
         options.quiet);
     if (!output.pictures.empty()) {
         run.split.test = all_test;
-        if (ranks.size() > 1) (void)set_held_out_scans_and_get_unedited_scans(run, log);
+        if (ranks.size() > 1) copy_scans_into_run(run, run.split.test, log);
         write_worst_actor_pictures(output.pictures, device, run, evaluation);
     }
     if (!options.open) return;
@@ -302,9 +274,7 @@ The environment variable RELIDAR_LPIPS_WEIGHTS names the file with the weights o
 tools/lpips_weights writes. Without the variable, LPIPS is not computed.
 Metrics: peer/* follow published tables, strict/* use pixels that return in both scans,
 moving_boxes/* and similar names score a part of the scan. The name of a metric ends with its unit.
-An edited run of a synthetic street is compared with the street after the same edits
-(edited/*: pixels that the edits change). An edited run of a real log is compared with the log,
-which does not have the edits.
+An edited run is compared with the log, which does not have the edits.
 Examples:
   relidar eval run --open
   relidar eval run --out median.json --set render.range=median

@@ -1,0 +1,87 @@
+// SPDX-License-Identifier: Apache-2.0
+// relidar_bench_edited scores an edited run of a synthetic street. It casts rays into the
+// exact street after the same edits, without noise, and compares the pixels of held-out
+// frames that the edits change. tools/bench/edits calls it.
+#include <charconv>
+#include <cmath>
+#include <vector>
+
+#include <fmt/format.h>
+
+#include <relidar/base/error.hpp>
+#include <relidar/gpu/device.hpp>
+#include <relidar/log/dataset.hpp>
+#include <relidar/run/run.hpp>
+#include <relidar/run/stage_options.hpp>
+#include <relidar/score/evaluation.hpp>
+
+#include "street_of.hpp"
+
+namespace {
+
+using namespace relidar;
+
+constexpr float kSameRange_m = 0.01f;
+
+/// Returns the cars of the street at their edited poses. A model has the number of its
+/// synthetic car as name; edits keep this name.
+std::vector<SyntheticCar> list_cars_of_run(const TrainedRun& run) {
+    std::vector<SyntheticCar> cars;
+    for (const ModelInstance& instance : run.scene.instances) {
+        const BoxTrack* box = find_box_track_by_id(run.sequence, instance.track);
+        if (!box) continue;
+        const std::string& name = run.scene.models[instance.model].name;
+        std::size_t car = 0;
+        const char* const end = name.data() + name.size();
+        if (const auto parsed = std::from_chars(name.data(), end, car);
+            parsed.ec != std::errc() || parsed.ptr != end)
+            throw DataError(
+                fmt::format("the model of track {} has the name \"{}\", expected the number of a car",
+                            instance.track, name));
+        cars.push_back({car, *box});
+    }
+    return cars;
+}
+
+void print_scores_of_edited_pixels(const std::string& run_folder) {
+    TrainedRun run = load_run(run_folder);
+    run.config = replace_automatic_max_range(std::move(run.config), run.sequence);
+    const SyntheticOptions street = read_street_options_of_run(run);
+    const std::vector<SyntheticCar> cars = list_cars_of_run(run);
+    const RayTable rays = make_rays(run.sequence.lidars[0].sensor);
+    const RangeLimits limits = make_sensor_from_config(run.config, run.sequence).limits;
+    const PoseTrack track = run.sequence.get_world_from_sensor(0);
+    std::vector<Scan> before;  // of the held-out frames, without the edits
+    for (const int position : run.split.test) {
+        LidarFrame& frame = run.sequence.frames[std::size_t(position)];
+        frame.scan = cast_rays_into_synthetic_street(street, cars, rays, track, frame.time_s);
+        before.push_back(cast_rays_into_synthetic_street(street, rays, track, frame.time_s));
+        for (Scan* scan : {&frame.scan, &before.back()}) remove_returns_outside_limits(*scan, limits);
+    }
+    Device device(apply_environment_variables({}));
+    ScanRenderer renderer(device, run);
+    std::vector<MetricValues> scores;
+    evaluate_frames(renderer, run.config, run.sequence, run.split.test, {}, [&](const ScoredFrame& frame) {
+        const RangeImage original = make_measured_image(run.config, before[scores.size()]);
+        PixelRegion edited{"edited", std::vector<bool>(original.range_m.size())};
+        for (std::size_t i = 0; i < edited.pixels.size(); ++i)
+            edited.pixels[i] = std::abs(frame.real.range_m[i] - original.range_m[i]) > kSameRange_m;
+        scores.push_back(evaluate_regions(frame.rendered.image, frame.real, {edited}));
+    });
+    MetricValues mean = compute_mean_metrics(scores);
+    for (const char* metric : {"pixels", "returned", "depth_medae_m", "depth_mae_m", "depth_rmse_m"})
+        fmt::print("{:.4g} ", mean["edited/" + std::string(metric)]);
+    fmt::print("\n");
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+    try {
+        if (argc != 2) throw UsageError("expected an edited run: relidar_bench_edited RUN");
+        print_scores_of_edited_pixels(argv[1]);
+    } catch (const Error& error) {
+        fmt::print(stderr, "relidar_bench_edited: {}\n", error.what());
+        return 1;
+    }
+}
