@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Compiles every pipeline of the program by constructing the objects that training and
-// rendering use. Needs neither a log nor a GPU. Developers use it to read the statistics
-// of a driver's shader compiler.
+// Compiles every pipeline by constructing the objects of training and rendering. Needs
+// neither a log nor a GPU.
 #include "train/compile_pipelines.hpp"
 
 #include <relidar/diff/forward.hpp>
@@ -17,14 +16,13 @@
 namespace relidar {
 namespace {
 
-/// A setting whose value changes a kernel or its specialisation constants.
 struct KernelSetting {
     const char* key;
     const char* value;
 };
 
-// Settings that change a kernel. Each row is compiled separately, with the preset
-// `default` and this one setting. Add a row for each new specialisation constant.
+// Each row is compiled separately, with the preset `default` and this one setting. Add a
+// row for each new specialisation constant.
 constexpr KernelSetting kSettings[] = {{"image.sh_direction", "ray"},
                                        {"image.sh_direction", "surfel"},
                                        {"image.single_drop_logit", "true"},

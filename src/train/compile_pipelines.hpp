@@ -1,6 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Compiles every kernel of the program, so that developers can inspect the output of a
-// driver's compiler.
 #pragma once
 
 #include <functional>

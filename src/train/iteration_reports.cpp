@@ -1,5 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Copies the reports of iterations from the device to the host, and sums their losses.
 #include "train/iteration_reports.hpp"
 
 #include <cmath>

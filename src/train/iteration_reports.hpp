@@ -17,16 +17,15 @@
 
 namespace relidar {
 
-/// A line of the training log.
 struct TrainLogLine {
     int step = 0;
     std::array<double, kLossTerms> terms{};  ///< mean losses over the iterations since the last line
     std::uint32_t n_surfels = 0;             ///< number of surfels after this step
-    /// number of surfels that were added or removed (densification) since the last line
+    /// since the last line
     DensifyReport densified;
 };
 
-/// Counters on the device. Each report copies the counters and resets them to 0.
+/// Each report copies the counters and resets them to 0.
 struct DeviceHitCounters {
     /// [1] number of rays whose traversal stopped at the maximum number of passes
     /// (ForwardPass::get_truncated_ray_count_on_device)
@@ -45,25 +44,21 @@ class IterationReports {
 public:
     explicit IterationReports(Device& device);
 
-    /// Returns the row of the loss table to which the current iteration adds its losses.
     LossTermRow get_current_loss_row() const {
         return {terms_, static_cast<std::uint32_t>(iterations_.size())};
     }
-    /// Adds an iteration after its GPU commands were recorded.
+    /// Called after the GPU commands of the iteration were recorded.
     /// @param frame_number  frame number of the dataset
     void add_iteration_to_next_report(int step, int frame_number) {
         iterations_.push_back({step, frame_number});
     }
     bool is_loss_table_full() const { return iterations_.size() == kRows; }
-    /// Starts a copy to the host and does not wait. Copies the losses and counters of all
-    /// iterations since the last report. Call this function after
-    /// add_iteration_to_next_report(), at most once per iteration.
-    /// @param log_line  line that is added to the training log when the report is read,
-    /// if any
+    /// Starts a copy of the losses and counters since the last report and does not wait.
+    /// Call after add_iteration_to_next_report(), at most once per iteration.
+    /// @param log_line  added to the training log when the report is read
     void record_copy_of_report_to_host(Stream& stream, const DeviceHitCounters& counts,
                                        const std::optional<TrainLogLine>& log_line);
 
-    /// Counters of a group of iterations, copied from the device.
     struct IterationGroupReport {
         int first_step, last_step;
         std::uint32_t pass_cap, most_hits, overfull;
@@ -75,8 +70,7 @@ public:
     /// Waits if the device has not finished the report.
     /// @throws DataError naming iteration, frame and term if a loss is not finite
     std::optional<IterationGroupReport> take_oldest_report_until_step(Stream& stream, int max_step);
-    /// Returns the log lines of the reports that were read with
-    /// take_oldest_report_until_step(). Removes the lines from this object.
+    /// Of the reports that were read. Removes the lines from this object.
     std::vector<TrainLogLine> take_log_lines() { return std::exchange(lines_, {}); }
 
     template <class Visitor>
@@ -84,7 +78,6 @@ public:
         visit("term_sums", sums_);
         visit("n_summed", n_summed_);
     }
-    /// Returns true if the state that was read from a checkpoint is valid.
     bool is_restored_report_state_valid() const { return sums_.size() == kLossTerms; }
 
 private:

@@ -1,6 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Prepares a log for training. Estimates the sensor poses, calibrates the beams, and
-// finds moving objects without labels.
 #include <relidar/train/train.hpp>
 
 #include <algorithm>
@@ -21,20 +19,15 @@ namespace relidar {
 
 namespace {
 
-/// Returns true if the log provides vehicle poses from which the registration of scans
-/// can start.
+/// from which the registration can start
 bool has_usable_vehicle_poses(const LidarSequence& sequence, const Config& config) {
     return config.dataset.poses != kNoPoses && sequence.has_poses;
 }
 
-/// How much the registration changed the poses of a log: median and maximum of the
-/// translation and of the rotation.
+/// How much the registration changed the poses: median and maximum.
 struct PoseCorrectionStatistics {
     double median_m = 0.0, most_m = 0.0, median_deg = 0.0, most_deg = 0.0;
 
-    /// Computes the median and the maximum of the corrections.
-    /// @param from  [poses] poses of the log
-    /// @param to  [poses] registered poses
     PoseCorrectionStatistics(const PoseTrack& from, const PoseTrack& to) {
         std::vector<double> metres, degrees;
         for (std::size_t k = 0; k < from.pose.size(); ++k) {
@@ -59,8 +52,7 @@ struct PoseCorrectionStatistics {
             "{:.2f} degrees",
             median_m, median_deg, most_m, most_deg);
     }
-    /// Returns a warning if the corrections are larger than the usual errors of good
-    /// vehicle poses. Otherwise returns an empty text.
+    /// Empty if the corrections are as small as the usual errors of good vehicle poses.
     std::string format_warning_if_corrections_large() const {
         constexpr double kLarge_m = 0.5, kLarge_deg = 5.0;
         if (most_m <= kLarge_m && most_deg <= kLarge_deg) return "";
@@ -80,11 +72,9 @@ std::string describe_path_length(const PoseTrack& track) {
     return fmt::format("{:.1f} m driven", metres);
 }
 
-// Maximum fraction of scans whose registration may fail. However, one failed scan is
-// always allowed.
+// One failed scan is always allowed.
 constexpr double kMostLost = 0.05;
 
-/// Prints which scans could not be registered.
 /// @throws DataError if too many scans failed
 void report_or_reject_unregistered_scans(const LidarSequence& sequence,
                                          const RegistrationResult& registration, const Config& config,
@@ -109,8 +99,7 @@ void report_or_reject_unregistered_scans(const LidarSequence& sequence,
     session.report_line(text + "; their poses are interpolated from their neighbours");
 }
 
-/// Estimates the vehicle poses by registering the scans of the log with each other.
-/// @return registration; `done` is true if it has new poses
+/// @return `done` is true if it has new poses
 RegistrationResult register_log_scans(LidarSequence& sequence, const TrainTestSplit& split,
                                       const Config& config, const LogPreparationCallbacks& session) {
     RegistrationResult registration;
@@ -208,7 +197,6 @@ void report_range_noise(const LidarSequence& sequence, const LogPreparationCallb
                             1e3 * lidar.range_noise.get_range_noise_sigma_m(40.0, 1.0)));
 }
 
-/// Throws an error if the user has interrupted the program.
 /// @throws Error with exit code 130
 void throw_if_interrupted(const LogPreparationCallbacks& session) {
     if (session.stop && session.stop())
@@ -216,8 +204,7 @@ void throw_if_interrupted(const LogPreparationCallbacks& session) {
                     "interrupted during the preparation of the log, before the training started");
 }
 
-/// Calibrates the beams of all LiDARs. The first process computes the results and sends
-/// them to the other processes.
+/// The first process computes the results and sends them to the others.
 void calibrate_lidars(LidarSequence& sequence, const TrainTestSplit& split, const SensorConfig& config,
                       const LogPreparationCallbacks& session) {
     if (session.group.is_first_process()) {
@@ -245,7 +232,6 @@ void calibrate_lidars(LidarSequence& sequence, const TrainTestSplit& split, cons
             .front();
 }
 
-/// Returns a text with the id, size and speed of a box.
 std::string describe_box_size_and_speed(const BoxTrack& box) {
     const PoseTrack& track = box.world_from_box;
     const double seconds = track.time_s.back() - track.time_s.front();
@@ -287,8 +273,7 @@ void discover_and_add_movers(LidarSequence& sequence, const TrainTestSplit& spli
                         fmt::join(extended, ", ")));
 }
 
-/// Refines the poses of moving boxes by registering their points. The first process
-/// computes the poses and sends them to the other processes.
+/// Registers the points of moving boxes. The first process sends the poses to the others.
 void refine_moving_box_poses(LidarSequence& sequence, const TrainTestSplit& split,
                              const LogPreparationCallbacks& session) {
     ActorRegistrationResult registration;

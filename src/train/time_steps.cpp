@@ -1,5 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Runs training steps after a warm-up, and computes their mean times.
 #include "train/time_steps.hpp"
 
 #include <algorithm>

@@ -12,9 +12,8 @@
 
 namespace relidar {
 
-/// Mean times per training step, measured by training a finished run for more steps.
 struct TrainingStepTimes {
-    /// Mean number of launches and mean time of a kernel in one step.
+    /// mean of one step
     struct StepKernelTime {
         double launches = 0.0, ms = 0.0;
     };
@@ -29,15 +28,14 @@ struct TrainingStepTimes {
     double compute_idle_ms() const { return wall_ms - kernels_ms; }  ///< time in which no kernel runs
 };
 
-/// Maximum number of timed steps. It is limited because the times of all kernel launches
-/// are kept in memory.
+/// limited because the times of all kernel launches are kept in memory
 inline constexpr int kMostTimedSteps = 500;
 
-/// Continues training from the scene of a run and measures the time of each step. Uses
-/// the learning rates of the run's last steps. Does not change the run.
-/// @param run  a run with the scans of its training frames
-/// @param n_steps  number of timed steps after a few warm-up steps, 1 to kMostTimedSteps
-/// @param should_stop  polled after each step; if it returns true, the measurement ends
+/// Trains a run for more steps with the learning rates of its last steps. Does not change
+/// the run.
+/// @param run  with the scans of its training frames
+/// @param n_steps  timed steps after a few warm-up steps, 1 to kMostTimedSteps
+/// @param should_stop  polled after each step
 /// @throws UsageError if the run has blocks; otherwise the same errors as train()
 TrainingStepTimes measure_step_times(Device& device, const TrainedRun& run, int n_steps,
                                      const std::function<bool()>& should_stop = {});

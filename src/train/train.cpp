@@ -30,10 +30,8 @@ Scene make_initial_scene(const LidarSequence& sequence, const TrainTestSplit& sp
                          const TrainSession& session) {
     SceneInitialisationOptions options = config.init;
     options.seed = config.train.seed;
-    // The ray-drop probability is a softmax of a hit logit and a drop logit
-    // (docs/method.md M6). With `one_logit`, the hit logit is 0. The drop logit then
-    // starts at the value that (drop logit - hit logit) has otherwise, so that the
-    // initial probability is the same.
+    // The ray-drop probability is a softmax of a hit and a drop logit (docs/method.md
+    // M6). With `one_logit`, the hit logit is 0, and the initial probability is the same.
     options.one_logit = config.image.single_drop_logit;
     std::vector<std::string> notes;
     Scene scene = initialise_scene(sequence, split.train, options, session.progress, &notes);
@@ -43,8 +41,7 @@ Scene make_initial_scene(const LidarSequence& sequence, const TrainTestSplit& sp
     return scene;
 }
 
-/// Prints which boxes of moving objects have no surfels in the scene. Training ignores
-/// the returns inside these boxes.
+/// Training ignores the returns inside boxes of moving objects without surfels.
 void report_ignored_moving_boxes(const Scene& scene, const LidarSequence& sequence, const Config& config,
                                  const TrainSession& session) {
     const std::vector<BoxTrack> masked = find_boxes_without_model(scene, sequence, config.init);
@@ -55,8 +52,6 @@ void report_ignored_moving_boxes(const Scene& scene, const LidarSequence& sequen
                     masked.size(), format_box_list(masked)));
 }
 
-/// Prints how many training frames are kept in device memory. Prints nothing if all are
-/// kept.
 void report_frames_not_kept_on_device(const TrainingFrames& frames, const Config& config,
                                       const TrainSession& session) {
     if (frames.count_resident_frames() == frames.get_all_frames().size() || !session.note) return;
@@ -66,9 +61,8 @@ void report_frames_not_kept_on_device(const TrainingFrames& frames, const Config
         frames.count_resident_frames(), frames.get_all_frames().size(), config.train.frame_memory_mib));
 }
 
-/// Turns the refinement of sensor poses off if all training frames belong to one sweep.
-/// No other training frame constrains the pose of this sweep, so the pose would drift
-/// away from the poses of the sweeps that are not used for training.
+/// Turns the refinement of sensor poses off if all training frames belong to one sweep:
+/// nothing would constrain its pose relative to the other sweeps.
 Config disable_useless_pose_refinement(Config config, const LidarSequence& sequence,
                                        const TrainTestSplit& split, const Scene& initial,
                                        const TrainSession& session) {
@@ -89,8 +83,6 @@ Config disable_useless_pose_refinement(Config config, const LidarSequence& seque
     return config;
 }
 
-/// Downloads the trained scene and its poses. Estimates the ray-drop of the sensor, the
-/// coverage, and the classes of the background.
 void fill_training_result(TrainLoop& loop, Device& device, const LidarSequence& sequence,
                           const TrainTestSplit& split, const Config& config, const TrainSession& session,
                           TrainResult& result) {

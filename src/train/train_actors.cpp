@@ -22,32 +22,25 @@ namespace {
 constexpr double kBeside_m = 0.5;
 constexpr double kSweep_m = 0.2;  // maximum distance that a sensor moves while its beam crosses an actor
 constexpr double kAlong_m = 2.0;  // maximum distance that a sensor moves during half a sweep
-// Radius of a surfel in standard deviations. Farther from its centre, the surfel is
-// nearly transparent.
+// Farther from its centre, a surfel is nearly transparent.
 constexpr double kReach_sigmas = 3.5;
-// To train the actors, the log is divided into sections. Each section loads the scene
-// blocks (parts of the background) that its rays can reach. Maximum number of surfels in
-// these blocks, including surfels that no ray to an actor can hit.
+// Maximum number of surfels in the scene blocks of a section of the log, including
+// surfels that no ray to an actor can hit.
 constexpr std::size_t kTogether = 1'500'000;
-// Some beams have no return at some azimuths, whatever they hit. Rays with a higher drop
-// probability than this carry no information about actors and are skipped.
+// Rays that the sensor drops more often carry no information about actors.
 constexpr float kBlind = 0.5f;
 
-/// An actor in one sweep, and the sensor position at the time when the LiDAR head faces
-/// the actor.
+/// An actor in one sweep. `sensor_m` is the position when the LiDAR head faces the actor.
 struct ActorSighting {
     glm::dvec3 sensor_m;
     InstancePose placed;
     glm::dvec3 half_size_m;
 
-    /// Returns true if a ray hits the box of the actor, enlarged by kBeside_m.
-    /// @param time_offset_s  firing time of the ray, relative to the reference time of
-    /// the sweep
+    /// @param time_offset_s  firing time relative to the reference time of the sweep
     bool is_box_hit_by_ray(const WorldRay& ray, double time_offset_s) const {
         return is_enlarged_box_hit_by_ray(ray, time_offset_s, kBeside_m);
     }
-    /// Returns true if a ray to the actor's box can also hit this sphere. The sphere can
-    /// be in front of the actor or behind it.
+    /// The sphere can be in front of the actor or behind it.
     bool can_ray_to_actor_hit_sphere(const glm::dvec3& centre_m, double radius_m) const {
         const double driven_length_m = glm::length(placed.motion.velocity_mps) * placed.motion.half_span_s;
         return is_enlarged_box_hit_by_ray({sensor_m, glm::normalize(centre_m - sensor_m)},
@@ -65,7 +58,6 @@ private:
     }
 };
 
-/// A training frame, and the actors that can be visible in this frame.
 struct FrameWithSightings {
     int position = 0;  ///< index into LidarSequence::frames
     glm::dvec3 sensor_m{0.0};
@@ -77,14 +69,12 @@ struct FrameWithSightings {
     }
 };
 
-/// Section of the log: frames that are trained together, and the scene blocks that their
-/// rays can reach.
+/// Frames that are trained together, and the scene blocks that their rays can reach.
 struct ActorTrainingSection {
     std::vector<FrameWithSightings> frames;
     std::set<std::size_t> blocks;
 };
 
-/// Returns a frame and the actors that are near enough to have returns in it.
 FrameWithSightings find_actors_in_sensor_range(const TrainedRun& run, int frame_index,
                                                const std::vector<PoseTrack>& sensor_tracks) {
     const LidarFrame& frame = run.sequence.frames[std::size_t(frame_index)];
@@ -106,9 +96,8 @@ FrameWithSightings find_actors_in_sensor_range(const TrainedRun& run, int frame_
     return result;
 }
 
-/// Divides the training frames into sections, which are trained separately. Starts a new
-/// section if the scene blocks that its rays can reach would have more than kTogether
-/// surfels in total. Each section has at least one frame.
+/// Starts a new section if its blocks would have more than kTogether surfels. Each
+/// section has at least one frame.
 std::vector<ActorTrainingSection> divide_log_into_sections(const TrainedRun& run,
                                                            const std::vector<PoseTrack>& sensor_tracks) {
     std::vector<ActorTrainingSection> stretches(1);
@@ -131,8 +120,7 @@ std::vector<ActorTrainingSection> divide_log_into_sections(const TrainedRun& run
     return stretches;
 }
 
-/// Returns the rays of a scan that pass near an actor, as a list without rows and
-/// columns. Leaves out rays that the sensor itself usually drops.
+/// As a list without rows and columns, without rays that the sensor itself usually drops.
 Scan select_rays_near_actors(const TrainedRun& run, const LidarFrame& frame,
                              const PoseTrack& world_from_sensor,
                              const std::vector<ActorSighting>& visible_actors) {
@@ -157,8 +145,6 @@ Scan select_rays_near_actors(const TrainedRun& run, const LidarFrame& frame,
     return scan;
 }
 
-/// Returns a log with the frames of one section (part of the complete log). The frames
-/// contain only rays near actors.
 LidarSequence make_log_of_section(const TrainedRun& run, const ActorTrainingSection& section,
                                   const std::vector<PoseTrack>& sensor_tracks) {
     std::vector<LidarFrame> frames(section.frames.size());
@@ -176,8 +162,7 @@ LidarSequence make_log_of_section(const TrainedRun& run, const ActorTrainingSect
     return log;
 }
 
-/// Returns the surfels that can affect rays to actors. Such a surfel is hit by a ray that
-/// passes near an actor, and can be in front of the actor or behind it.
+/// Hit by a ray that passes near an actor, in front of it or behind it.
 Surfels select_surfels_on_rays_to_actors(const Surfels& surfels,
                                          const std::vector<const FrameWithSightings*>& frames) {
     std::vector<std::uint8_t> is_selected(surfels.size(), 0);
@@ -198,9 +183,7 @@ Surfels select_surfels_on_rays_to_actors(const Surfels& surfels,
     return surfels.reorder(order);
 }
 
-/// Scene for training the actors in one section (part) of the log. `extent_m` is the mean
-/// extent of the scene blocks that rays of this section can reach. Scene blocks are parts
-/// of the background.
+/// `extent_m` is the mean extent of the scene blocks.
 struct SectionScene {
     Scene scene;
     double extent_m = 1.0;
@@ -223,8 +206,7 @@ SectionScene make_scene_of_section(const TrainedRun& run, const ActorTrainingSec
     return {copy_scene_with_new_background(run.scene, background), extent_m};
 }
 
-/// Returns the settings for training only the actors. Uses all rays, and does not refine
-/// poses or change the number of surfels.
+/// Uses all rays, and does not refine poses or change the number of surfels.
 Config make_actor_training_config(const Config& config, std::size_t n_frames) {
     Config c = config;
     TrainConfig& t = c.train;

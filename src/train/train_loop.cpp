@@ -48,13 +48,12 @@ bool FrameSampler::is_restored_frame_order_valid(std::size_t n_frames) const {
 
 namespace {
 
-/// Learning rate of the higher spherical harmonics, relative to the rate of the constant
-/// coefficient. The value is a twentieth, as in 3D Gaussian splatting. It is low because
-/// few views observe how the intensity depends on the direction.
+/// Relative to the rate of the constant coefficient. A twentieth, as in 3D Gaussian
+/// splatting, because few views observe how the intensity depends on the direction.
 constexpr double kShRestFactor = 0.05;
 
-// Number of iterations between two measurements of the traversal cost of the acceleration
-// structure. If the cost has grown too much, the structure is rebuilt.
+// Number of iterations between two measurements of the traversal cost of the tree. If the
+// cost has grown too much, the tree is rebuilt.
 constexpr int kGrowthEvery = 32;
 
 LearningRates compute_learning_rates(const TrainConfig& config, double extent_m, int step) {
@@ -71,9 +70,8 @@ LearningRates compute_learning_rates(const TrainConfig& config, double extent_m,
         .intensity_factor = config.intensity_factor};
 }
 
-/// Returns the learning rate of the surfel positions for each model, relative to the rate
-/// of the background. The rate is proportional to the extent of the model. Steps suitable
-/// for a street would move an actor's surfels out of its box.
+/// Relative to the rate of the background, proportional to the extent of the model. Steps
+/// suitable for a street would move an actor's surfels out of its box.
 /// @return [models] factors
 std::vector<float> compute_position_learning_rate_factors(const Scene& scene_layout,
                                                           double background_extent_m) {
@@ -86,23 +84,19 @@ std::vector<float> compute_position_learning_rate_factors(const Scene& scene_lay
     return factors;
 }
 
-/// Returns the degree of the spherical harmonics that a training step uses. The image
-/// model can limit this degree further.
 int get_active_sh_degree(const TrainConfig& config, int step) {
     return config.sh_degree_start + std::max(step - 1, 0) / std::max(1, config.sh_degree_interval);
 }
 
-/// Defines how often the acceleration structures are refitted to the moving surfels. A
-/// margin around the surfels' boxes prevents missed hits between two refits.
+/// A margin around the surfels' boxes prevents missed hits between two refits of the
+/// tree.
 struct TreeRefitSchedule {
     int every = 1;  ///< iterations between two refits
     AccelOptions accel;
 };
 
-/// Returns the refit interval and the margins. In one iteration, a surfel moves by
-/// millimetres and grows by a few per cent. A surfel that has just become visible can
-/// outgrow the margin, until the next refit. If most surfels are fixed, the interval is
-/// longer, because refitting for few trained surfels would take most of the time. If
+/// In one iteration, a surfel moves by millimetres and grows by a few per cent. If most
+/// surfels are fixed, refits are rarer, because they would take most of the time. If
 /// spherical harmonics are evaluated per ray, every iteration refits, because only a
 /// refit updates the surfel records.
 TreeRefitSchedule choose_tree_refit_options(const Config& config, std::uint32_t n_fixed_surfels) {
@@ -111,22 +105,19 @@ TreeRefitSchedule choose_tree_refit_options(const Config& config, std::uint32_t 
     return {2, {.margin_scale = 1.05f, .margin_m = 0.003f}};
 }
 
-/// Returns true if the acceleration structures must be refitted in this step. They are
-/// refitted in every step while the learning rate is so high that surfels could outgrow
-/// the margin.
+/// Every step is due while the learning rate is so high that surfels could outgrow the
+/// margin.
 bool should_refit_tree(const TreeRefitSchedule& refit_options, const TrainConfig& config, int step) {
-    // The box of a surfel in the tree has a margin, so that the surfel can grow until the
-    // next refit. This share of the margin is for a growing scale. The remainder is for a
-    // growing opacity, because a more opaque surfel also needs a larger box.
+    // Share of the margin for a growing scale. The remainder is for a growing opacity,
+    // because a more opaque surfel also needs a larger box.
     constexpr double kShare = 0.9;
     const double growth = (refit_options.every - 1) * compute_learning_rates(config, 1.0, step).log_scale;
     return growth > kShare * std::log(refit_options.accel.margin_scale) ||
            (step - 1) % refit_options.every == 0;
 }
 
-/// Returns the maximum scale of each surfel, proportional to its initial scale. Surfels
-/// close to each other start small and need little growth. Surfels far apart must be able
-/// to fill the gaps between them.
+/// Proportional to the initial scale: surfels close to each other start small, surfels
+/// far apart must be able to fill the gaps.
 std::vector<float> compute_max_log_scales(const Surfels& surfels, double max_growth_factor) {
     std::vector<float> bounds;
     for (std::size_t i = 0; i < surfels.size(); ++i) {
@@ -138,8 +129,7 @@ std::vector<float> compute_max_log_scales(const Surfels& surfels, double max_gro
     return bounds;
 }
 
-/// Returns true if every surfel gets a gradient in each iteration, even if no ray hits
-/// the surfel. This is so with the box loss, because it depends only on the surfels.
+/// The box loss gives every surfel a gradient, even if no ray hits it.
 bool does_every_surfel_get_gradient(const Config& config) {
     return config.loss.box > 0.0f && !config.train.only_touched;
 }
@@ -155,8 +145,7 @@ IgnoredMeasurements make_training_mask_rules(const LidarSequence& sequence, cons
     return masks;
 }
 
-/// Returns the range grid whose cells are used as training rays, or nothing if training
-/// uses the rays of the sensor.
+/// Nothing if training uses the rays of the sensor.
 /// @throws UsageError if another setting requires the rays of the sensor
 std::optional<RangeImageGrid> find_training_range_grid(const Config& config) {
     if (config.train.grid == "native") return std::nullopt;
@@ -206,8 +195,7 @@ TrainLoop::TrainLoop(Device& device, const LidarSequence& sequence, const TrainT
     for (std::size_t i = 0; i < frames_.get_all_frames().size(); ++i)
         frames_[i].placed = compute_instance_poses(
             initial, sequence, get_sweep_timing_of_frame(sequence.frames[std::size_t(frames_[i].position)]));
-    // Limits the size of surfels if there is no densification. Densification splits large
-    // surfels, so it needs no limit.
+    // Densification splits large surfels, so it needs no limit.
     if (config.densify.strategy == DensifyStrategy::none)
         adam_.set_max_log_scale_of_each_surfel(
             device, compute_max_log_scales(initial.surfels, config.train.max_growth));
@@ -215,12 +203,10 @@ TrainLoop::TrainLoop(Device& device, const LidarSequence& sequence, const TrainT
 
 TrainLoop::~TrainLoop() {
     try {
-        // Waits, because the device may still use the arrays if training ended with an
-        // exception.
+        // The device may still use the arrays if training ended with an exception.
         stream_.submit_and_wait();
     } catch (const Error&) {
-        // Ignores the error, because it was already reported. A lost device no longer
-        // uses the arrays.
+        // Already reported. A lost device no longer uses the arrays.
     }
 }
 
@@ -332,22 +318,19 @@ void TrainLoop::increase_hit_capacity_if_needed(const IterationReports::Iteratio
             "hits, expected at most {}; use fewer rays per iteration (train.rays_per_iteration)",
             report.first_step, report.last_step, report.most_hits, report.hit_capacity);
     if (report.most_hits <= differentiable_.backward_pass().get_hit_capacity() / 2) return;
-    // The value of `hit_capacity` changes below, but a report can contain only one value.
-    // Therefore requests a report of the steps so far before the change.
+    // A report has only one `hit_capacity`, so the steps so far get their own report.
     start_iteration_report_readback(last_step_, false);
-    // Reserves memory for twice the reported number of hits, so that later steps can have
-    // more hits.
+    // twice the reported number, so that later steps can have more hits
     differentiable_.backward_pass().reserve_hit_memory(stream_, 2 * std::uint64_t(report.most_hits));
 }
 
 void TrainLoop::increase_stored_hits_per_ray_if_needed(const IterationReports::IterationGroupReport& report) {
-    // Ignores the report if its iterations ran before the last increase of
-    // `stored_hits_per_ray`.
+    // The iterations of an older report ran before the last increase.
     if (report.stored_hits_per_ray != renderer_.get_stored_hits_per_ray() || hit_memory_exhausted_) return;
     const std::uint32_t n_hits = recommend_stored_hits_per_ray(report.stored_hits_per_ray, report.overfull);
     if (n_hits == report.stored_hits_per_ray) return;
-    // The value of `stored_hits_per_ray` changes below, but a report can contain only one
-    // value. Therefore requests a report of the steps so far before the change.
+    // A report has only one `stored_hits_per_ray`, so the steps so far get their own
+    // report.
     start_iteration_report_readback(last_step_, false);
     try {
         renderer_.set_stored_hits_per_ray(n_hits);
@@ -376,7 +359,7 @@ void TrainLoop::save_training_state_to_checkpoint(Checkpoint& checkpoint) {
 }
 
 void TrainLoop::restore_training_state_from_checkpoint(const Checkpoint& checkpoint) {
-    // waits for pending iterations, because they would overwrite the restored state
+    // pending iterations would overwrite the restored state
     wait_for_iterations();
     visit_checkpoint_state(CheckpointReader(checkpoint));
     last_step_ = checkpoint.iteration;
@@ -390,26 +373,25 @@ void TrainLoop::restore_training_state_from_checkpoint(const Checkpoint& checkpo
 }
 
 RayDropTable TrainLoop::estimate_sensor_drop_rates(Device& device, const LidarSequence& sequence) {
-    // Number of rays in a batch. In a full log, one batch of each frame is enough: each
-    // bin of the drop table (a beam and an azimuth interval) then gets hundreds of rays.
+    // In a full log, one batch of each frame gives hundreds of rays per bin of the drop
+    // table.
     constexpr std::uint32_t kRays = 20000;
-    // Minimum number of rays per bin of the drop table. In a short log, several batches
-    // of each frame are used to reach this number, or all rays of the frame.
+    // Minimum. In a short log, several batches of each frame, or all of its rays, are
+    // used.
     constexpr std::size_t kRaysPerBin = 20;
     Config some_rays = config_;
     some_rays.train.rays_per_iteration = kRays;
-    // The image loss would restrict a batch to a window of neighbouring columns. It is
-    // turned off, so that each batch has rays of all directions.
+    // The image loss would restrict a batch to a window of columns, but all directions
+    // are needed.
     some_rays.loss.intensity_ssim = 0.0f;
     BatchSampler batches(device, some_rays, frames_.get_all_frames());
     RayDropCounts counts(sequence);
     renderer_.set_sh_degree(get_active_sh_degree(config_.train, config_.train.iterations));
-    // number of rays to use from each frame
     const std::size_t rays_of_frame =
         kRaysPerBin * counts.get_bin_count() / std::max<std::size_t>(1, frames_.get_all_frames().size());
     for (std::size_t k = 0; k < frames_.get_all_frames().size(); ++k) {
-        // The last training iteration moved the surfels. Therefore refits the tree before
-        // the first frame (k == 0).
+        // The last iteration moved the surfels, so the first frame (k == 0) refits the
+        // tree.
         const TrainingFrameData& frame = upload_frame_and_move_instances(k, k == 0);
         if (k + 1 < frames_.get_all_frames().size()) frames_.prefetch_frame(k + 1);
         const std::uint32_t first =
@@ -427,9 +409,9 @@ RayDropTable TrainLoop::estimate_sensor_drop_rates(Device& device, const LidarSe
 
 void TrainLoop::add_batch_to_drop_counts(RayDropCounts& counts, const LidarSequence& sequence,
                                          const TrainingFrameData& frame, const SampledBatch& batch) {
-    // The drop statistics count a ray only if its blending weight is above this, so that
-    // it hits a solid surface. Exception: sectors where nearly all measured rays drop.
-    // Training ignores these sectors, so the scene has no surfaces there.
+    // Minimum blending weight of a ray that hits a solid surface. Other rays count only
+    // in sectors where nearly all measured rays drop, because training ignores these
+    // sectors.
     constexpr float kSolid = 0.9f;
     const LidarFrame& sweep = sequence.frames[std::size_t(frame.position)];
     const RayDropTable& observed = frames_.get_mask_rules().observed_drops;

@@ -28,8 +28,8 @@ class FrameSampler {
 public:
     FrameSampler(std::size_t n, std::uint64_t seed);
     std::size_t sample_next_frame_index();
-    /// Returns the frame that sample_next_frame_index() will return. Returns nothing at
-    /// the end of an epoch, because the order of the next epoch is still unknown.
+    /// Nothing at the end of an epoch, because the order of the next epoch is still
+    /// unknown.
     std::optional<std::size_t> peek_next_frame_index() const;
     Random& get_random_generator() { return random_; }
 
@@ -39,7 +39,6 @@ public:
         visit("sampler/position", position_);
         visit("sampler/random", random_.get_mutable_generator_state());
     }
-    /// Returns true if a state that was read from a checkpoint is valid.
     bool is_restored_frame_order_valid(std::size_t n_frames) const;
 
 private:
@@ -50,11 +49,10 @@ private:
 
 class TrainLoop {
 public:
-    /// Creates the loop and its arrays on the device.
     /// @param n_fixed_surfels  the first n_fixed_surfels surfels of the scene are not
     /// trained
-    /// @param extent_m  extent of the background in metres; if empty, it is computed from
-    /// the initial scene
+    /// @param extent_m  of the background; if empty, it is computed from the initial
+    /// scene
     TrainLoop(Device& device, const LidarSequence& sequence, const TrainTestSplit& split,
               const Scene& initial, const Config& config, std::uint32_t n_fixed_surfels = 0,
               std::optional<double> extent_m = std::nullopt);
@@ -63,46 +61,40 @@ public:
     TrainLoop& operator=(const TrainLoop&) = delete;
 
     /// Records and submits the GPU commands of one iteration. Normally waits only for an
-    /// earlier submission. Waits longer for densification, or if a batch has more rays or
-    /// hits than all earlier batches. Also waits longer if too many rays have more hits
-    /// than can be stored.
+    /// earlier submission. Waits longer for densification, or to increase the memory for
+    /// hits.
     /// @param step  counts from 1
     /// @param is_last_of_log_interval  true if a log line ends with this iteration
     /// @throws DataError naming iteration, frame and term if a loss was not finite in the
     /// last 64 + kReadbackLag iterations
     void run_iteration(int step, bool is_last_of_log_interval = false);
-    /// Returns the new log lines since the last call. The line of an iteration becomes
-    /// available kReadbackLag iterations later, or after wait_for_iterations().
+    /// New since the last call. A line is available kReadbackLag iterations later, or
+    /// after wait_for_iterations().
     std::vector<TrainLogLine> take_log_lines() { return reports_.take_log_lines(); }
     /// Waits for all submitted iterations and reads their reports.
     /// @throws DataError if a loss of these iterations was not finite
     void wait_for_iterations();
-    /// Completes training: waits for all iterations, then applies the pending pose
-    /// updates.
+    /// Waits for all iterations, then applies the pending pose updates.
     void complete_training();
-    /// Waits for all submitted iterations, and writes the complete training state into a
-    /// checkpoint.
+    /// Waits for all iterations and saves the complete training state.
     /// @throws DataError if a loss of these iterations was not finite
     void save_training_state_to_checkpoint(Checkpoint& checkpoint);
-    /// Restores the state from a checkpoint. The loop must have been created with the
-    /// scene and the log of the checkpoint.
+    /// The loop must have been created with the scene and the log of the checkpoint.
     /// @throws DataError if the state does not match
     void restore_training_state_from_checkpoint(const Checkpoint& checkpoint);
-    /// Estimates the probability that the sensor itself drops a ray. Uses only rays for
-    /// which the scene predicts a return. Waits for the device.
+    /// Uses only rays for which the scene predicts a return. Waits for the device.
     RayDropTable estimate_sensor_drop_rates(Device& device, const LidarSequence& sequence);
-    /// Returns the current poses, or nothing if no poses are refined.
+    /// nothing if no poses are refined
     std::optional<RefinedPoses> get_refined_poses() const {
         return refiner_.is_pose_refinement_enabled() ? std::optional(refiner_.get_refined_poses())
                                                      : std::nullopt;
     }
-    /// Downloads the current scene. Waits for the device.
     Scene download_current_scene() { return renderer_.download_scene(); }
     const KernelTimes& get_training_kernel_times() { return renderer_.stream().times(); }
     std::uint32_t get_surfel_count() const { return renderer_.scene().size(); }
     std::uint32_t count_rays_of_last_batch() const { return renderer_.get_last_rendered_batch().rays.n_rays; }
-    /// Returns the current maximum number of hits per ray that are stored for the
-    /// backward pass. Training increases it if rays have more hits.
+    /// Maximum number of hits per ray that are stored for the backward pass. Training
+    /// increases it if rays have more hits.
     std::uint32_t get_max_stored_hits_per_ray() const { return renderer_.get_stored_hits_per_ray(); }
     const TrainingFrames& get_training_frames() const { return frames_; }
 
@@ -118,7 +110,7 @@ private:
     std::vector<std::unique_ptr<Loss>> losses_;
     Adam adam_;
     Densifier densifier_;
-    /// number of surfels that densification added or removed since the last log line
+    /// since the last log line
     DensifyReport densified_;
     IterationReports reports_;
     double extent_m_;
@@ -128,9 +120,7 @@ private:
     /// true if device memory was too small to store more hits per ray
     bool hit_memory_exhausted_ = false;
 
-    /// Passes every state variable of the loop to a visitor, which reads or writes a
-    /// checkpoint. A state variable that is missing here is lost when training is
-    /// resumed.
+    /// A state variable that is missing here is lost when training is resumed.
     template <class Visitor>
     void visit_checkpoint_state(Visitor&& visit) {
         visit("parameters", renderer_.scene().get_surfel_parameters());
@@ -153,28 +143,21 @@ private:
             visit(std::string("densify/report/") + name, densified_.*count);
     }
 
-    /// Records GPU commands that prepare one frame for this step: its rays, the poses of
-    /// its instances, and the surfel intensities from its sensor position.
+    /// Records the rays of a frame, the poses of its instances, and the surfel
+    /// intensities.
     const TrainingFrameData& prepare_frame_for_step(std::size_t frame_index, int step);
-    /// Uploads a frame if it is not on the device, and moves the instances to their poses
-    /// in this frame.
     /// @param surfels_changed  true if surfels have changed since the last frame
     const TrainingFrameData& upload_frame_and_move_instances(std::size_t frame_index, bool surfels_changed);
-    /// Records GPU commands that render a batch, and compute its losses and gradients.
     void record_render_and_backward(const RayBatch& rays, const TargetBatch& targets,
                                     const LossTermRow& loss_terms);
-    /// Checks the losses and counters of all iterations up to `last_step`.
+    /// Checks losses and counters.
     void check_iteration_reports_until(int last_step);
     void start_iteration_report_readback(int step, bool is_last_of_log_interval);
-    /// Compares the number of hits in a report with the capacity of the hit buffer.
-    /// Increases the capacity if more than half of it was used.
+    /// Increases the capacity of the hit buffer if more than half of it was used.
     /// @throws DeviceError if a deterministic step exceeded the capacity
     void increase_hit_capacity_if_needed(const IterationReports::IterationGroupReport& report);
-    /// Increases the number of hits that are stored per ray if too many rays had more
-    /// hits. Such rays are slow, because they must be traced twice.
+    /// Rays with more hits than stored are slow, because they must be traced twice.
     void increase_stored_hits_per_ray_if_needed(const IterationReports::IterationGroupReport& report);
-    /// Counts the rays of a batch for which the scene predicts a return, and how many
-    /// were dropped.
     void add_batch_to_drop_counts(RayDropCounts& counts, const LidarSequence& sequence,
                                   const TrainingFrameData& frame, const SampledBatch& batch);
     void densify_and_reallocate_memory(

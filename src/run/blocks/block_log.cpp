@@ -13,12 +13,10 @@
 namespace relidar {
 namespace {
 
-// Maximum distance between a box and the sensor. Farther boxes have hardly any returns
-// and are left out.
+// farther boxes have hardly any returns
 constexpr double kMaxBoxDistance_m = 100.0;
 
-/// Returns the vehicle poses at the times of some frames, and the poses directly before
-/// and after each frame. The poses before and after are needed to interpolate the motion
+/// Poses at the times of the frames, and directly before and after each, for the motion
 /// during a sweep.
 PoseTrack select_poses_around_frames(const LidarSequence& sequence, const std::vector<int>& frame_indices) {
     const PoseTrack& all = sequence.world_from_vehicle;
@@ -39,9 +37,8 @@ PoseTrack select_poses_around_frames(const LidarSequence& sequence, const std::v
     return track;
 }
 
-/// Removes actors without a box in this part of the log from options.actor_tracks, the
-/// user's list of actors. If no actor remains, also clears options.actor_classes, because
-/// with an empty list the classes would select actors.
+/// Actors without a box in this part of the log. If none remains, also clears
+/// options.actor_classes, because with an empty list the classes would select actors.
 void remove_actor_tracks_without_boxes(SceneInitialisationOptions& options,
                                        const std::vector<BoxTrack>& boxes) {
     if (options.actor_tracks.empty()) return;
@@ -57,7 +54,7 @@ void remove_actor_tracks_without_boxes(SceneInitialisationOptions& options,
 
 BlockTrainingLog copy_frames_and_boxes_of_block(const LidarSequence& sequence, const TrainTestSplit& split,
                                                 const TrajectoryBlock& block, const Config& config) {
-    // Training and test frames of the block, in the order of the log.
+    // in the order of the log
     std::vector<int> frames = block.train;
     for (const int position : block.recorded_frames)
         if (std::find(split.test.begin(), split.test.end(), position) != split.test.end())

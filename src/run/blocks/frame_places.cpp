@@ -1,5 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Computes the position of the vehicle at each frame of a log.
 #include "run/blocks/frame_places.hpp"
 
 namespace relidar {

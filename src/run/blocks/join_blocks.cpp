@@ -17,11 +17,10 @@ namespace {
 
 namespace fs = std::filesystem;
 
-// A training frame counts for an actor only if the actor's box is at most this far from
-// the vehicle. Farther boxes have few returns.
+// A frame counts for an actor up to this distance, because farther boxes have few
+// returns.
 constexpr double kMaxActorDistance_m = 60.0;
 
-/// Returns the background surfels of a block and their bounding box.
 SceneBlock make_block_from_background_surfels(const Scene& scene, const fs::path& model_file) {
     SceneBlock block{model_file, scene.models.front().count, glm::vec3(0.0f), glm::vec3(0.0f)};
     for (std::uint32_t i = 0; i < block.count; ++i) {
@@ -34,8 +33,7 @@ SceneBlock make_block_from_background_surfels(const Scene& scene, const fs::path
     return block;
 }
 
-/// Averages the ray-drop probabilities of a sensor over several blocks of a log. The
-/// weight of a block is its number of training frames.
+/// Average over blocks, weighted by their numbers of training frames.
 class MeanRayDropTable {
 public:
     void add_table_weighted_by_frames(const RayDropTable& table, std::size_t n_training_frames) {
@@ -57,9 +55,8 @@ private:
     std::size_t n_frames_ = 0;
 };
 
-/// Model of an actor from one block, a part of the log that is trained separately. If
-/// several blocks have trained the same actor, the model with the most sightings is used.
-/// A sighting is a training frame in which the actor is near the sensor.
+/// If several blocks have trained the same actor, the model with the most sightings is
+/// used: training frames in which the actor is near the sensor.
 struct ActorModelCandidate {
     std::size_t sightings = 0;
     SurfelModel model;
@@ -67,8 +64,6 @@ struct ActorModelCandidate {
     BoxTrack box;
 };
 
-/// Adds the actors of a block to `best_actors`. If another block has trained the same
-/// actor, keeps the model with more training frames near this actor.
 void keep_most_observed_actor_models(const TrainedRun& block_run, const LidarSequence& full_sequence,
                                      const TrajectoryBlock& block,
                                      std::map<std::string, ActorModelCandidate>& best_actors) {
@@ -91,7 +86,6 @@ void keep_most_observed_actor_models(const TrainedRun& block_run, const LidarSeq
     }
 }
 
-/// Copies the vehicle poses of one part of the log (block) to the track of the full log.
 void copy_block_vehicle_poses_to_track(const TrainedRun& block_run, const LidarSequence& full_sequence,
                                        const TrajectoryBlock& block, PoseTrack& full_track) {
     for (const int position : block.recorded_frames) {
@@ -99,7 +93,7 @@ void copy_block_vehicle_poses_to_track(const TrainedRun& block_run, const LidarS
         const PoseTrack& part_track = block_run.sequence.world_from_vehicle;
         const auto from = std::lower_bound(part_track.time_s.begin(), part_track.time_s.end(), time_s);
         const auto to = std::lower_bound(full_track.time_s.begin(), full_track.time_s.end(), time_s);
-        // Skips the frame if one of the tracks has no pose at exactly this time.
+        // Skips frames without a pose at exactly this time.
         if (from == part_track.time_s.end() || *from != time_s || to == full_track.time_s.end() ||
             *to != time_s)
             continue;
@@ -128,8 +122,7 @@ void join_trained_blocks(TrainedRun& run, const std::vector<TrajectoryBlock>& bl
     }
     scene.sensor_drop = drop.compute_mean_over_training_frames();
     run.sequence.world_from_vehicle = std::move(poses);
-    // Adds the actors in the order of the log's boxes. A scene that is trained without
-    // blocks has the same order.
+    // In the order of the log's boxes, as in a scene that is trained without blocks.
     for (BoxTrack& box : run.sequence.boxes) {
         const auto entry = actors.find(box.id);
         if (entry == actors.end()) continue;

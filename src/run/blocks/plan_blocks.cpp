@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Divides a log into blocks, which are trained separately. Selects the sweeps that train
-// each block. A surfel belongs to the block whose sweeps are nearest.
+// Divides a log into blocks, which are trained separately. A surfel belongs to the block
+// whose sweeps are nearest.
 #include <relidar/run/blocks.hpp>
 
 #include <algorithm>
@@ -17,8 +17,7 @@
 namespace relidar {
 namespace {
 
-/// Divides the route into sections of equal length, and returns the sweeps in each
-/// section as a block. Sections without sweeps are left out.
+/// Sections of equal length. Sections without sweeps are left out.
 std::vector<TrajectoryBlock> divide_route_into_blocks(const std::vector<double>& cumulative_distances_m,
                                                       double block_length_m) {
     const double driven_length_m = cumulative_distances_m.back();
@@ -48,7 +47,6 @@ bool is_near_any_position(const glm::dvec3& query_position, const std::vector<gl
 std::vector<TrajectoryBlock> plan_training_blocks(const LidarSequence& sequence, const TrainTestSplit& split,
                                                   const BlockConfig& options) {
     const std::vector<glm::dvec3> vehicle_positions = compute_vehicle_position_per_frame(sequence);
-    // Driven distance at each position of the vehicle.
     std::vector<double> cumulative_distances_m(vehicle_positions.size(), 0.0);
     for (std::size_t i = 1; i < vehicle_positions.size(); ++i)
         cumulative_distances_m[i] =

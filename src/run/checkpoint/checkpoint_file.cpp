@@ -27,7 +27,7 @@ constexpr const char* kChecksum = "crc32";
 class Crc32 {
 public:
     void update_crc(const void* bytes, std::size_t n_bytes) {
-        // Skips empty arrays, because zlib restarts the checksum if the pointer is null.
+        // zlib restarts the checksum if the pointer is null
         if (n_bytes > 0) crc_ = ::crc32_z(crc_, static_cast<const Bytef*>(bytes), n_bytes);
     }
     // Includes the terminating zero, so that the texts "ab","c" and "a","bc" have
@@ -55,8 +55,7 @@ std::string compute_checksum(const Texts& metadata, const std::vector<NamedArray
     return crc.format_crc_as_hex();
 }
 
-/// Removes an entry from the metadata and returns its value. Used for entries that belong
-/// to the file format and that callers must not see.
+/// For entries of the file format that callers must not see.
 std::string pop_metadata_value(Texts& metadata, const std::string& key) {
     const auto it = metadata.find(key);
     if (it == metadata.end())
@@ -85,8 +84,7 @@ int parse_iteration_number(const std::string& text) {
 Checkpoint parse_checkpoint(Texts metadata, std::vector<NamedArray> arrays) {
     const auto format = metadata.find("format"), version = metadata.find("version");
     require_equal_text("metadata format", format == metadata.end() ? "" : format->second, kFormat);
-    // Checks the version before the checksum, because other versions may compute the
-    // checksum differently.
+    // The version first, because other versions may compute the checksum differently.
     require_equal_text("metadata version", version == metadata.end() ? "" : version->second, kVersion);
     const std::string computed_checksum = compute_checksum(metadata, arrays);
     require_equal_text("checksum of the metadata and arrays", computed_checksum,
@@ -98,8 +96,6 @@ Checkpoint parse_checkpoint(Texts metadata, std::vector<NamedArray> arrays) {
     return checkpoint;
 }
 
-/// Returns the iteration number in the name of a checkpoint file, or nothing if the file
-/// is not a checkpoint.
 std::optional<int> parse_iteration_in_file_name(const std::filesystem::path& path) {
     const std::string name = path.filename().string(), start = "iteration_", end = ".safetensors";
     if (!name.starts_with(start) || !name.ends_with(end) || name.size() < start.size() + end.size())

@@ -34,9 +34,8 @@ using config_detail::SettingHelp;
 using config_detail::SettingValueRange;
 using config_detail::visit_all_settings;
 
-/// Value of a setting as text, and whether the text was in quotes. The quotes are known
-/// for a TOML file. They are unknown for the command line, because the shell removes
-/// quotes.
+/// Quotes are known for a TOML file, but not for the command line, because the shell
+/// removes them.
 struct ParsedValue {
     std::string text;
     enum class QuotedState { unknown, yes, no } quotes = QuotedState::unknown;
@@ -86,7 +85,6 @@ void apply_setting(Config& config, const std::string& key, const ParsedValue& va
     if (key == "preset") config = make_preset_config(config.preset);
 }
 
-/// Converts a TOML scalar to text.
 ParsedValue convert_toml_scalar_to_text(const toml::node& node, const std::string& key) {
     if (const auto* text = node.as_string()) return {text->get(), ParsedValue::QuotedState::yes};
     if (const auto* integer = node.as_integer())
@@ -101,8 +99,7 @@ ParsedValue convert_toml_scalar_to_text(const toml::node& node, const std::strin
                      kind.str());
 }
 
-/// Adds all values of a TOML table and its nested tables to `settings`. The keys are full
-/// names such as "table.key".
+/// The keys are full names such as "table.key".
 void flatten_toml_table(const toml::table& table, const std::string& key_prefix,
                         std::map<std::string, ParsedValue>& settings) {
     for (const auto& [name, node] : table) {
@@ -112,8 +109,6 @@ void flatten_toml_table(const toml::table& table, const std::string& key_prefix,
     }
 }
 
-/// Checks that a settings file contains every setting and no unknown key. Files from
-/// to_toml() fulfil this.
 /// @throws UsageError if a setting is missing or a key is unknown
 void require_complete_and_known_settings(const std::map<std::string, ParsedValue>& settings) {
     constexpr const char* kAdvice =
@@ -128,7 +123,6 @@ void require_complete_and_known_settings(const std::map<std::string, ParsedValue
                              kAdvice);
 }
 
-/// Returns text as a TOML string, with quotes and escaped characters.
 std::string quote_toml_string(const std::string& text) {
     std::string result = "\"";
     for (const char c : text) {
@@ -160,7 +154,6 @@ void set_config_value(Config& config, const std::string& key, const std::string&
 
 namespace {
 
-/// Reads a TOML file and applies its settings to `config`.
 /// @param check_file_settings  called with the settings of the file before they are
 /// applied
 template <class Check>
@@ -202,8 +195,7 @@ Config load_saved_config(const std::filesystem::path& path) {
 
 namespace {
 
-/// Returns the settings as TOML text, grouped by table, with a comment for each setting.
-/// @param is_key_shown  returns true for the keys that the text must contain
+/// Groups the settings by table, with a comment for each setting.
 template <class Shown>
 std::string format_config_as_toml(const Config& config, const Shown& is_key_shown) {
     std::string text, table;

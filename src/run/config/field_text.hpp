@@ -20,7 +20,7 @@
 
 namespace relidar::config_detail {
 
-/// True if values of this type are written in quotes in a TOML file.
+/// written in quotes in a TOML file
 template <class T>
 constexpr bool is_text = std::is_same_v<T, std::string> || std::is_enum_v<T>;
 
@@ -31,8 +31,7 @@ std::string format_setting_value(const T& value, const SettingValueRange& accept
     else return fmt::format("{}", value);
 }
 
-/// Returns a description of the values that a setting accepts. Examples: "a number >= 0",
-/// "an integer in 1..64", "one of ray, surfel".
+/// For example "a number >= 0", "an integer in 1..64", "one of ray, surfel".
 template <class T>
 std::string describe_accepted_values(const SettingValueRange& accepted_values) {
     if constexpr (std::is_same_v<T, bool>) return "true or false";
@@ -70,8 +69,7 @@ std::optional<T> parse_number_in_range(const std::string& text, const SettingVal
     return parsed;
 }
 
-/// Converts the text of a setting to its value. Returns nothing if the setting does not
-/// accept this text.
+/// Nothing if the setting does not accept this text.
 template <class T>
 std::optional<T> parse_setting_value(const std::string& text, const SettingValueRange& accepted_values) {
     const auto find = [&](const std::string& word) {

@@ -15,14 +15,13 @@
 
 namespace relidar::config_detail {
 
-/// Values that a setting accepts: a range of numbers, or a list of texts.
+/// a range of numbers, or a list of texts
 struct SettingValueRange {
     double low = std::numeric_limits<double>::lowest();
     double high = std::numeric_limits<double>::max();
-    /// True if the value must be greater than `low`. False if it may also be equal to
-    /// `low`.
+    /// the value must be greater than `low`, not equal
     bool above_low = false;
-    /// Accepted texts. For an enum, the index of a text is the value of the enum.
+    /// For an enum, the index of a text is the value of the enum.
     std::vector<std::string> choices;
     bool several = false;  ///< true if the value may contain several choices, separated by commas
 };
@@ -55,7 +54,6 @@ inline SettingValueRange accept_some_of(std::vector<std::string> choices) {
     return accepts;
 }
 
-/// Help text of a setting, and whether only experts need the setting.
 struct SettingHelp {
     const char* text;
     bool expert = false;  ///< true if only users who know the implementation need the setting
@@ -64,7 +62,7 @@ struct SettingHelp {
 inline SettingHelp mark_expert(const char* help_text) { return {help_text, true}; }
 
 inline constexpr double kMaxCount = 2147483647.0;
-// Maximum random seed, 2^53. Up to this value, a double represents every integer exactly.
+// 2^53; up to this value, a double represents every integer exactly
 inline constexpr double kMaxSeed = 9007199254740992.0;
 
 template <class C, class Visitor>
@@ -249,8 +247,6 @@ void visit_training_settings(C& config, Visitor&& visitor) {
             "train even if more than 5 % of the scans could not be registered; false: this is an error");
 }
 
-/// Calls `visitor` for four settings: device memory for frames, interval of log lines,
-/// interval of checkpoints, and random seed.
 template <class C, class Visitor>
 void visit_logging_settings(C& config, Visitor&& visitor) {
     visitor("train.frame_memory_mib", config.train.frame_memory_mib, accept_between(0, kMaxCount),
@@ -289,8 +285,7 @@ void visit_refinement_settings(C& config, Visitor&& visitor) {
             "initial learning rate of the ray-drop network; it decreases to one hundredth of this value"));
 }
 
-/// Calls visitor(key, field, accepts, help) for every setting, in the order of the TOML
-/// file.
+/// visitor(key, field, accepts, help) for every setting, in the order of the TOML file
 template <class C, class Visitor>
 void visit_all_settings(C& config, Visitor&& visitor) {
     visitor("preset", config.preset, accept_one_of({"paper", "released", "default", "quick"}),

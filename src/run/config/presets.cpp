@@ -13,8 +13,6 @@
 namespace relidar {
 namespace {
 
-/// Returns the settings of the LiDAR-RT paper, which are mostly the defaults of the
-/// structs.
 Config make_paper_preset_config() {
     Config config;
     config.dataset.waymo_intensity = "clamp";
@@ -50,9 +48,8 @@ Config make_paper_code_preset_config() {
     return config;
 }
 
-/// Returns the settings with the best results on a real log (KITTI raw 0005,
-/// docs/results.md). Training adds no surfels, because it starts from dense, smoothed
-/// points.
+/// Best results on a real log (KITTI raw 0005, docs/results.md). Training adds no
+/// surfels, because it starts from dense, smoothed points.
 Config make_default_preset_config() {
     Config config;
     config.preset = "default";
@@ -60,12 +57,12 @@ Config make_default_preset_config() {
     config.dataset.max_range_m = 0.0;
     // The beams of a LiDAR have different range offsets and intensity gains.
     config.sensor.calibrate = "range,intensity";
-    // Small voxels give small surfels. Large surfels would blur the edges of objects.
+    // Large surfels would blur the edges of objects.
     config.init.voxel_m = 0.1;
     config.init.voxel_growth = 0.006;    // approximately the spacing of neighbouring rays
     config.init.normal_neighbours = 24;  // with 6 points, noise of 2 cm would tilt a normal by 0.1 rad
-    // Maximum ratio (variance across a surface) / (variance within it) of neighbouring
-    // points. Other points, for example on leaves, become surfels that face the sensor.
+    // Variance across a surface divided by the variance within it. Other points, for
+    // example on leaves, become surfels that face the sensor.
     config.init.flatness = 0.04;
     // KITTI labels only objects that its front camera sees.
     config.init.unlabelled_movers = UnlabelledMoverPolicy::actors;
@@ -98,8 +95,7 @@ Config make_default_preset_config() {
     config.train.scale_rate = 1e-2;
     config.train.max_growth = 8.0;  // without this limit, some surfels grow far too large, up to 8 m
     config.train.sh_rate = 3e-2;
-    // Learning rate of intensities relative to drop probabilities. A factor of 1 would
-    // overfit, because few rays observe each surfel.
+    // A factor of 1 would overfit, because few rays observe each surfel.
     config.train.intensity_factor = 0.25;
     config.train.rate_decay = 0.05;
     config.train.sensor_drop = true;
@@ -107,29 +103,25 @@ Config make_default_preset_config() {
     config.refine.enabled = true;          // the network improves the accuracy of ray-drop
     config.refine.frames = 200;  // limited because the images of all these frames are in memory together
     config.render.range = "normalised";
-    // LiDAR heads rotate at varying speed, so the measured azimuths of a sweep are used.
+    // LiDAR heads rotate at varying speed
     config.render.follow_sweeps = true;
     // With 64 hits per chunk, nearly every ray becomes opaque within its first chunk.
     config.trace.chunk = 64;
     return config;
 }
 
-/// Returns settings for training on a CPU in minutes: fewer rays per step and fewer
-/// steps.
+/// Training on a CPU in minutes: fewer rays per step and fewer steps.
 Config make_quick_preset_config() {
     Config config = make_default_preset_config();
     config.preset = "quick";
     config.init.voxel_growth = 0.01;
-    // A ray ends before the surfel that would reduce its transmittance below this value.
-    // An opaque surfel leaves 0.01, so the value must be smaller.
+    // An opaque surfel leaves a transmittance of 0.01, so the value must be smaller.
     config.image.transmittance_min = 9e-3f;
-    // `alpha_min` is larger than in the preset `default`, so that more of the faint edge
-    // of each surfel is skipped. Rays then hit fewer surfels, and training is faster.
+    // Larger than in `default`, so that rays hit fewer surfels.
     config.image.alpha_min = 0.04f;
     config.image.sh_degree = 2;
     config.train.iterations = 540;
-    // The learning rates are higher than in the preset `default`, because there are few
-    // steps and each step trains few surfels.
+    // Higher than in `default`, because there are few steps and each trains few surfels.
     config.train.opacity_rate = 0.15;
     config.train.scale_rate = 6.5e-2;
     config.train.rotation_rate = 5e-3;
@@ -137,15 +129,13 @@ Config make_quick_preset_config() {
     config.train.intensity_factor = 0.5;
     config.train.rays_per_iteration = 24576;
     config.train.sh_degree_interval = 180;
-    // Updates only surfels with a gradient. This is faster on a CPU, but slightly less
-    // accurate.
+    // Updates only surfels with a gradient, which is faster but slightly less accurate.
     config.train.only_touched = true;
     config.train.log_every = 20;
     config.refine.network = "pixel";  // nearly as accurate as "small", in a quarter of its time
     config.refine.frames = 32;
     config.refine.epochs = 4;
-    // Ten times the learning rate of the U-Nets, so that the small network `pixel` needs
-    // only a few epochs.
+    // Ten times the rate of the U-Nets: the small network `pixel` then needs few epochs.
     config.refine.rate = 2e-2;
     return config;
 }

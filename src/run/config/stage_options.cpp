@@ -1,5 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Converts the settings of a run to the options of ray tracing and of the backward pass.
 #include <relidar/run/stage_options.hpp>
 
 namespace relidar {
@@ -26,8 +25,7 @@ TraceOptions make_training_trace_options(const Config& config) {
 
 TraceOptions make_rendering_trace_options(const Config& config) {
     TraceOptions options = make_common_trace_options(config);
-    // Computes normals if the surfels have normals, because output channels and ray-drop
-    // networks can use them.
+    // for output channels and ray-drop networks
     options.normals = get_primitive_properties(config.image.primitive).has_normals;
     if (config.render.range == "mode")
         options.mode_gap_m = static_cast<float>(config.sensor.return_separation_m);

@@ -18,7 +18,7 @@
 namespace relidar {
 namespace {
 
-/// Returns true if a ray intersects a box centred at the origin.
+/// The box is centred at the origin.
 bool is_box_hit_by_ray(const glm::dvec3& ray_origin_m, const glm::dvec3& ray_direction,
                        const glm::dvec3& box_size_m) {
     double begin = 0.0, end = std::numeric_limits<double>::infinity();
@@ -46,8 +46,7 @@ ActorModelResolution compute_actor_model_resolution(std::span<const glm::vec3> r
     const glm::vec3 centre_m(inverse(box_from_sensor).translation);
     const float radius_m = float(0.5 * glm::length(size_m)) * 1.001f + 0.01f;
     for (std::size_t i = 0; i < ray_directions.size(); ++i) {
-        // A fast test with the bounding sphere of the box rejects most rays, so that few
-        // rays need the exact test.
+        // The bounding sphere of the box rejects most rays quickly.
         const glm::vec3 to_centre = centre_m - ray_origins[i];
         const float along_m = glm::dot(to_centre, ray_directions[i]),
                     distance2 = glm::dot(to_centre, to_centre);

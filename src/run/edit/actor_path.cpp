@@ -18,12 +18,10 @@ namespace relidar {
 namespace {
 
 enum ActorPathField { kTime, kX, kY, kZ, kYaw, kPitch, kRoll, kYawRad, kPitchRad, kRollRad, kFieldCount };
-// Maximum number of columns in a file without a header. Column i of such a file contains
-// the field kNames[i].
+// In a file without a header, column i contains the field kNames[i].
 constexpr std::size_t kUnnamed = 7;
 constexpr std::size_t kNeeded = 5;
-// Largest accepted number. Valid coordinates in metres, angles in degrees and times in
-// seconds since 1970 are smaller.
+// seconds since 1970 are smaller
 constexpr double kLargest = 1e10;
 const std::vector<std::string> kNames{"time_s",    "x",        "y",       "z",         "yaw_deg",
                                       "pitch_deg", "roll_deg", "yaw_rad", "pitch_rad", "roll_rad"};
@@ -31,7 +29,6 @@ const std::vector<std::string> kNames{"time_s",    "x",        "y",       "z",  
 /// Column index of each field, or -1 if the file does not have the field.
 using FieldColumnIndices = std::vector<int>;
 
-/// Reads the header of a file and returns the column index of each field.
 /// @throws DataError for an unknown name, a missing field, or an angle in both units
 FieldColumnIndices find_trajectory_columns_in_header(const std::vector<std::string_view>& header,
                                                      const std::string& error_location) {
@@ -47,7 +44,6 @@ FieldColumnIndices find_trajectory_columns_in_header(const std::vector<std::stri
     return at;
 }
 
-/// Returns the column index of each field for a file without a header.
 /// @throws DataError if there are too few or too many columns
 FieldColumnIndices make_default_column_indices(std::size_t n_columns, const std::string& error_location) {
     if (n_columns < kNeeded || n_columns > kUnnamed)
@@ -60,8 +56,7 @@ FieldColumnIndices make_default_column_indices(std::size_t n_columns, const std:
     return at;
 }
 
-/// Reads the values of a line. A field without a column has the value 0. Pitch and roll
-/// may be missing at the end of a line if the file has no header.
+/// A field without a column is 0. Without a header, pitch and roll may be missing.
 /// @throws DataError naming the column that is not a number
 std::array<double, kFieldCount> parse_trajectory_row(const std::vector<std::string_view>& cells,
                                                      const FieldColumnIndices& column_indices,
@@ -92,7 +87,6 @@ PoseTrack read_trajectory_csv(const std::filesystem::path& path) {
     const std::vector<std::string> lines = split_lines(read_text_file(path));
     PoseTrack track;
     FieldColumnIndices at;
-    // maximum number of cells in a line, and minimum number because of the lines before
     std::size_t n_cells = 0, n_needed = 0;
     for (std::size_t i = 0; i < lines.size(); ++i) {
         if (trim_blanks_at_both_ends(lines[i]).empty()) continue;
@@ -119,7 +113,7 @@ PoseTrack read_trajectory_csv(const std::filesystem::path& path) {
             fail("{}: time_s is {} after {} in the previous line, expected increasing times", where,
                  row[kTime], track.time_s.back());
         track.time_s.push_back(row[kTime]);
-        // Each angle is either in degrees or in radians. The other field is 0.
+        // Each angle is in degrees or in radians. The other field is 0.
         const double yaw_rad = row[kYaw] * kPi / 180.0 + row[kYawRad];
         const double pitch_rad = row[kPitch] * kPi / 180.0 + row[kPitchRad];
         const double roll_rad = row[kRoll] * kPi / 180.0 + row[kRollRad];

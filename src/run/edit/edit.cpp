@@ -20,11 +20,10 @@ namespace relidar {
 
 namespace {
 
-// Largest accepted time in seconds or coordinate in metres, as in the renderer.
+// seconds or metres, as in the renderer
 constexpr double kLargestNumber = 1e10;
 constexpr double kMaxTrackSteps = 1e6;  // Maximum number of sweeps in a trajectory.
 
-/// Returns the index of the instance that moves along a track.
 std::size_t get_actor_instance_index(const SceneWithLog& scene_and_log, const std::string& track_id) {
     std::vector<std::string> actor_ids;
     for (std::size_t i = 0; i < scene_and_log.scene.instances.size(); ++i) {
@@ -58,7 +57,7 @@ BoxTrack& get_actor_box_track(SceneWithLog& scene_and_log, const std::string& tr
         track_id);
 }
 
-/// Removes models that no instance uses. The model of the background is kept.
+/// The model of the background is kept.
 void remove_unused_models(Scene& scene) {
     Surfels surfels;
     std::vector<SurfelModel> models;
@@ -78,7 +77,6 @@ void remove_unused_models(Scene& scene) {
     scene.surfels = std::move(surfels);
 }
 
-/// Removes the actors for which `should_keep_track` returns false, and their boxes.
 template <class Keep>
 void remove_unselected_actors(SceneWithLog& scene_and_log, const Keep& should_keep_track) {
     std::vector<ModelInstance> remaining_instances;
@@ -104,8 +102,7 @@ std::string make_unused_track_id(const SceneWithLog& scene_and_log, const std::s
     return fmt::format("{}-{}", id_prefix, n);
 }
 
-/// Returns a track that moves straight ahead at constant speed, with one pose for each
-/// frame of the log.
+/// With one pose for each frame of the log.
 PoseTrack make_straight_constant_speed_track(const LidarSequence& sequence, const NewActorMotion& start) {
     PoseTrack track;
     for (const LidarFrame& frame : sequence.frames) {
@@ -151,9 +148,8 @@ void require_valid_trajectory(const PoseTrack& track, const std::string& track_i
                 "increasing times");
 }
 
-/// Adds interpolated poses to a track, so that consecutive poses are at most `max_step_s`
-/// apart. Reason: a box is also present up to half a time step before its first pose and
-/// after its last pose. Short steps keep this extra time short.
+/// A box is present up to half a time step before its first and after its last pose, so
+/// steps of at most `max_step_s` keep this extra time short.
 PoseTrack insert_interpolated_poses(const PoseTrack& track, double max_step_s) {
     PoseTrack fine;
     for (std::size_t i = 0; i + 1 < track.pose.size(); ++i) {
@@ -169,8 +165,7 @@ PoseTrack insert_interpolated_poses(const PoseTrack& track, double max_step_s) {
     return fine;
 }
 
-/// Returns the model that an earlier edit has made from `model` by completing it.
-/// @return no value if there is none
+/// The completed model that an earlier edit has made from `model`, if any.
 std::optional<std::uint32_t> find_mirror_completed_copy_of_model(const Scene& scene,
                                                                  const SurfelModel& model) {
     ObservedBoxSurface completed = *model.surface;
@@ -182,9 +177,8 @@ std::optional<std::uint32_t> find_mirror_completed_copy_of_model(const Scene& sc
     return static_cast<std::uint32_t>(copy - scene.models.begin());
 }
 
-/// Fills the unobserved sides of a vehicle by symmetry, because after an edit these sides
-/// can face a sensor. Does nothing if the surfels are not in memory, or if it is unknown
-/// which sides the log has observed.
+/// After an edit, unobserved sides of a vehicle can face a sensor. Does nothing if the
+/// surfels are not in memory, or if the observed sides are unknown.
 /// @param is_shared true if actors that were not moved have the same model; they keep it,
 /// and this actor gets a completed copy
 void fill_unobserved_sides_by_symmetry(SceneWithLog& scene_and_log, ModelInstance& instance, bool is_shared) {
@@ -219,7 +213,7 @@ void fill_unobserved_sides_by_symmetry(SceneWithLog& scene_and_log, ModelInstanc
         scene.models[m].first += model.count - before;
 }
 
-/// Returns true if two tracks are equal except for rounding errors.
+/// except for rounding errors
 bool is_same_track(const PoseTrack& first, const PoseTrack& second) {
     constexpr double kSame = 1e-9;  // metres, seconds, and components of quaternions
     const auto is_same_pose = [](const Pose& p, const Pose& q) {
@@ -231,7 +225,6 @@ bool is_same_track(const PoseTrack& first, const PoseTrack& second) {
            std::ranges::equal(first.pose, second.pose, is_same_pose);
 }
 
-/// Adds an instance of a model to the scene, with a new track.
 void add_actor_instance(SceneWithLog& scene_and_log, std::uint32_t model_index, BoxTrack box,
                         const NewActorMotion& start) {
     box.world_from_box =
@@ -291,8 +284,7 @@ SceneWithLog complete_moved_actors(SceneWithLog scene_and_log, const std::vector
 std::string describe_frames_without_actor(const BoxTrack& original_box,
                                           const LidarSequence& edited_sequence) {
     const BoxTrack* box = find_box_track_by_id(edited_sequence, original_box.id);
-    // Numbers of the frames in which the actor is missing after the edit. It is a set,
-    // because LiDARs that sweep at the same time share a frame number.
+    // A set, because LiDARs that sweep at the same time share a frame number.
     std::set<int> lost;
     for (const LidarFrame& frame : edited_sequence.frames)
         if (box && original_box.is_observed_at_time(frame.time_s) && !box->is_observed_at_time(frame.time_s))

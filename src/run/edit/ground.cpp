@@ -25,42 +25,32 @@
 namespace relidar {
 namespace {
 
-// Minimum |z| of the normal of a surfel that can be ground. Accepts slopes up to 41
-// degrees, because normals are noisy.
+// slopes up to 41 degrees, because normals are noisy
 constexpr double kLevelSurfel = 0.75;
-// Minimum z of the normal of a ground plane. Accepts slopes up to 32 degrees.
+// slopes up to 32 degrees
 constexpr double kLevelPlane = 0.85;
-// Minimum opacity of a surfel, as a logit (opacity 0.05). More transparent surfels do not
-// form a surface, so they are ignored.
+// Opacity 0.05. More transparent surfels do not form a surface.
 constexpr double kFaintLogit = -3.0;
-// Maximum slope of the line from the sensor to the ground: height difference divided by
-// distance.
+// height difference divided by distance
 constexpr double kSteepest = 0.25;
-// Maximum distance of a surfel from the plane on which it lies. This is half the height
-// of a kerb, because surfels above a kerb belong to another surface.
+// Half the height of a kerb, because surfels above a kerb belong to another surface.
 constexpr double kOnPlane_m = 0.1;
-// Maximum distance of a surfel from the plane in the least-squares fit. The value is
-// larger than the noise of street surfels, and small enough to exclude the foot of a
-// wall.
+// Distance in the least-squares fit: above the noise of street surfels, but excludes the
+// foot of a wall.
 constexpr double kFitted_m = 0.05;
-// Margins around the area below the box. The ground is searched with the first margin,
-// then with the second, then with the third. Far from the sensor, a small area may
-// contain no surfel, because rings are a metre apart.
+// Around the area below the box, tried in this order. Far from the sensor, a small area
+// may contain no surfel, because rings are a metre apart.
 constexpr std::array kMargins_m{0.25, 0.5, 1.0};
-// Minimum half width of the area in which the ground is fitted. A slope cannot be
-// measured in the small area below a pedestrian.
+// A slope cannot be measured in the small area below a pedestrian.
 constexpr double kSmallestBelow_m = 0.75;
 constexpr std::size_t kFewestOnPlane = 8;  // Minimum number of surfels on a ground plane.
-// Minimum width of the area that the surfels of a ground plane cover: the standard
-// deviation of their positions along the narrow side of the area. A narrower strip, for
-// example the surfels of a single LiDAR ring, does not determine the slope.
+// Standard deviation along the narrow side. A narrower strip, for example a single LiDAR
+// ring, does not determine the slope.
 constexpr double kNarrowest_m = 0.15;
 constexpr int kDraws = 200;
-// Approximate number of positions along a track at which the height of an actor above the
-// ground is measured.
+// positions along a track at which the height above the ground is measured
 constexpr int kClearanceSamples = 16;
 
-/// A plane, stored as a point on the plane and its upward normal.
 struct GroundPlane {
     glm::dvec3 origin_m{0.0};
     glm::dvec3 normal{0.0, 0.0, 1.0};
@@ -73,8 +63,7 @@ struct GroundPlane {
     }
 };
 
-/// Area on the ground below a box: a rectangle in the x-y plane around the centre of the
-/// box.
+/// A rectangle in the x-y plane around the centre of the box.
 struct Footprint {
     glm::dvec2 centre_m{0.0};
     double yaw_rad = 0.0;
@@ -91,7 +80,7 @@ struct Footprint {
     }
 };
 
-/// Returns the sensor pose that is nearest to a position in the x-y plane.
+/// in the x-y plane
 const Pose& find_nearest_pose(const PoseTrack& sensor_track, const glm::dvec2& xy) {
     if (sensor_track.pose.empty())
         throw DataError(
@@ -106,8 +95,7 @@ glm::dvec3 compute_surfel_normal(const glm::vec4& rotation_wxyz) {
            glm::dvec3(0.0, 0.0, 1.0);
 }
 
-/// The surfels of the background that are horizontal. If the background is stored in
-/// blocks, loads only the blocks near the given positions.
+/// If the background is stored in blocks, loads only the blocks near the given positions.
 class HorizontalSurfels {
 public:
     HorizontalSurfels(const SceneWithLogView& driving, const std::vector<glm::dvec2>& positions_xy)
@@ -137,8 +125,7 @@ public:
         return {};
     }
 
-    /// Returns a text with the distance to the nearest level surfel, for an error
-    /// message.
+    /// for an error message
     std::string describe_nearest_horizontal_surfel(const glm::dvec2& xy) const {
         if (points_.empty()) return "the background has no horizontal surfel";
         double nearest_m = std::numeric_limits<double>::infinity();
@@ -155,9 +142,7 @@ private:
                 points_.emplace_back(surfels.mean[i]);
     }
 
-    /// Returns the plane with the most points near it (RANSAC). Tests many planes, each
-    /// through three random points. The score of a plane depends on the distances of all
-    /// points.
+    /// RANSAC. The score of a plane depends on the distances of all points.
     static GroundPlane find_plane_with_most_points(const std::vector<glm::dvec3>& points) {
         Random random(1);
         GroundPlane best{points.front(), {0.0, 0.0, 1.0}};
@@ -167,8 +152,7 @@ private:
             const glm::dvec3 a = any(), b = any(), c = any();
             glm::dvec3 normal = glm::cross(b - a, c - a);
             const double length = glm::length(normal);
-            // Rejects steep planes. Also rejects three points on a line, because they
-            // define no plane.
+            // Too steep, or three points on a line.
             if (!(std::abs(normal.z) > kLevelPlane * length)) continue;
             normal *= (normal.z > 0.0 ? 1.0 : -1.0) / length;
             const GroundPlane plane{a, normal};
@@ -201,8 +185,7 @@ private:
             plane = {points.front() + fit.mean, fit.axes[0] * (fit.axes[0].z > 0.0 ? 1.0 : -1.0)};
             const glm::dvec2 beside = glm::abs(footprint.transform_to_footprint_frame(plane.origin_m));
             if (fit.variance[1] < kNarrowest_m * kNarrowest_m || plane.normal.z < kLevelPlane) return {};
-            // Rejects the plane if the centre of its surfels is far from the centre of
-            // the area. The surfels then cover only one side of the area.
+            // The surfels cover only one side of the area.
             const glm::dvec2 middle_m = 0.5 * (footprint.half_m + footprint_margin_m);
             if (beside.x > middle_m.x || beside.y > middle_m.y) return {};
         }
@@ -224,17 +207,15 @@ Footprint make_footprint(const glm::dvec2& centre_m, double yaw_rad, const glm::
 
 const BoxTrack& get_box_track_of_actor(const SceneWithLogView& scene_and_log_view,
                                        const std::string& track_id) {
-    // Calls move_track() only because it throws an error if the track does not belong to
-    // an actor. The moved track is not used.
+    // Throws if the track does not belong to an actor. The result is not used.
     (void)move_track(
         SceneWithLog{copy_scene_without_surfels(scene_and_log_view.scene), scene_and_log_view.sequence},
         track_id, {});
     return *find_box_track_by_id(scene_and_log_view.sequence, track_id);
 }
 
-/// Returns the ground plane below an actor whose box covers a position, or nothing if no
-/// box covers it. Computes the plane from the pose of the box, because the actor hides
-/// the road from the sensor.
+/// From the pose of the box, because the actor hides the road from the sensor. Nothing if
+/// no box covers the position.
 /// @param get_box_clearance_m  returns the height of the bottom of a box above the ground
 std::optional<GroundPlane> estimate_ground_below_box_covering(
     const glm::dvec2& position_m, const LidarSequence& sequence,
@@ -259,8 +240,7 @@ std::optional<GroundPlane> estimate_ground_below_box_covering(
     return GroundPlane{at.translation - (0.5 * nearest->size_m.z + get_box_clearance_m(*nearest)) * up, up};
 }
 
-/// Returns the height of a box's bottom above the ground: the median over positions along
-/// the track of the box.
+/// Median along the track.
 std::optional<double> estimate_median_ground_clearance_m(const SceneWithLogView& scene_and_log_view,
                                                          const BoxTrack& box) {
     std::vector<glm::dvec2> positions_xy;
@@ -280,8 +260,6 @@ std::optional<double> estimate_median_ground_clearance_m(const SceneWithLogView&
     return compute_median(heights_m);
 }
 
-/// Returns the rotation of an actor that stands on a plane and faces the direction
-/// `yaw_rad`.
 glm::dquat make_rotation_on_plane(const GroundPlane& plane, double yaw_rad) {
     const glm::dvec2 level(std::cos(yaw_rad), std::sin(yaw_rad));
     const double climb = -(plane.normal.x * level.x + plane.normal.y * level.y) / plane.normal.z;
@@ -289,8 +267,7 @@ glm::dquat make_rotation_on_plane(const GroundPlane& plane, double yaw_rad) {
     return glm::normalize(glm::quat_cast(glm::dmat3(ahead, glm::cross(plane.normal, ahead), plane.normal)));
 }
 
-/// Returns the distinct times of the log's frames. LiDARs that sweep at the same time
-/// have the same frame time.
+/// LiDARs that sweep at the same time have the same frame time.
 std::vector<double> list_distinct_frame_times(const LidarSequence& sequence) {
     std::vector<double> times_s;
     for (const LidarFrame& frame : sequence.frames)
@@ -347,8 +324,8 @@ NewActorMotion compute_motion_on_ground(const SceneWithLogView& target_scene,
         return Pose{make_rotation_on_plane(ground, yaw_rad), centre_m + offset_m};
     };
     NewActorMotion start{pose_on(*plane, xy), placement.speed_mps};
-    // Sum of the ground normals along the path of the actor. Where the ground was not
-    // observed, their mean direction is used, because a single normal is noisy.
+    // Where the ground was not observed, the mean direction is used, because a single
+    // normal is noisy.
     glm::dvec3 normal_sum = plane->normal;
     for (std::size_t i = 0; i < times_s.size(); ++i) {
         const glm::dvec2& position_m = positions[i + 1];

@@ -1,7 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads and writes the coverage and the class map of a run as safetensors files. The
-// coverage is the space that the sensors of the log have observed. The class map has the
-// classes of the background.
 #include "run/files/coverage_file.hpp"
 
 #include <cstring>
@@ -24,8 +21,7 @@ constexpr const char* kClassesFormat = "relidar classes";
 constexpr const char* kClassesVersion = "1";
 constexpr const char* kCell = "cell_m";
 
-/// Reads the arrays of a file that stores a voxel grid. Checks format, version and voxel
-/// size.
+/// Checks format, version and voxel size.
 std::vector<NamedArray> read_cell_arrays(const std::filesystem::path& path, const char* expected_format,
                                          const char* expected_version, double expected_cell_size_m) {
     std::map<std::string, std::string> metadata;
@@ -36,7 +32,6 @@ std::vector<NamedArray> read_cell_arrays(const std::filesystem::path& path, cons
     return arrays;
 }
 
-/// Writes the arrays of a file that stores a voxel grid.
 void write_cell_arrays(const std::filesystem::path& path, const std::vector<NamedArray>& arrays,
                        const char* format, const char* version, double cell_size_m) {
     write_safetensors(path, arrays,
@@ -46,8 +41,6 @@ void write_cell_arrays(const std::filesystem::path& path, const std::vector<Name
                        {kCell, fmt::format("{}", cell_size_m)}});
 }
 
-/// Returns an array of the file by its name, and checks its type and its number of
-/// columns.
 /// @throws DataError if the file has no such array of this type and width
 const NamedArray& require_array_with_columns(const std::vector<NamedArray>& arrays, const char* name,
                                              const char* dtype, std::size_t n_columns,
@@ -62,7 +55,6 @@ const NamedArray& require_array_with_columns(const std::vector<NamedArray>& arra
     return *array;
 }
 
-/// @throws DataError if the two arrays differ in their number of rows
 void require_equal_row_counts(const NamedArray& positions, const NamedArray& values,
                               const std::string& file_name) {
     if (positions.shape[0] != values.shape[0])

@@ -1,5 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Checks the format name and the version of the safetensors files of a run.
 #pragma once
 
 #include <map>
@@ -13,9 +12,8 @@
 
 namespace relidar::run_detail {
 
-/// Checks the format name and the version in the metadata of a safetensors file.
-/// @throws DataError if one of them is not the expected value. The message contains the
-/// value from the file
+/// Of a safetensors file.
+/// @throws DataError with the value from the file
 inline void require_format_and_version(const std::map<std::string, std::string>& metadata,
                                        const std::string& file_name, const std::string& expected_format,
                                        const std::string& expected_version) {

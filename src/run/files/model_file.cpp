@@ -61,16 +61,15 @@ void read_parameter_group(const SurfelParameterGroup& group, const NamedArray& a
     require_finite_surfel_parameters(group, surfels, file_name);
 }
 
-/// Reads the half size of a model's bounding box. The size 0, 0, 0 means that the model
-/// is unbounded.
+/// 0, 0, 0 means that the model is unbounded.
 glm::vec3 read_box_half_size_m(const JsonField& model) {
     const std::array<double, 3> v = model.at("half_size_m").get_numbers<3>();
     for (std::size_t k = 0; k < 3; ++k) model.at("half_size_m").at(k).get_number_in_range(0.0, 1e6);
     return {float(v[0]), float(v[1]), float(v[2])};
 }
 
-/// Reads the walked distance after which the leg motion of a person repeats. Returns 0
-/// for a rigid model.
+/// The walked distance after which the leg motion of a person repeats; 0 for a rigid
+/// model.
 float read_walking_stride_m(const JsonField& model) {
     return model.has_member("stride_m")
                ? static_cast<float>(model.at("stride_m").get_number_in_range(1e-3, 1e6))
@@ -79,8 +78,7 @@ float read_walking_stride_m(const JsonField& model) {
 
 constexpr const char* kSurface = "surface";
 
-/// Reads which parts of an actor's box surface the log has observed. Returns nothing if
-/// the file does not contain them.
+/// Nothing if the file does not contain it.
 std::optional<ObservedBoxSurface> read_observed_box_surface(const JsonField& model) {
     if (!model.has_member(kSurface)) return {};
     const JsonField field = model.at(kSurface), size = field.at("size_m");
@@ -135,8 +133,7 @@ void read_models_and_instances(const JsonField& layout, Scene& scene) {
 
 constexpr const char* kBlocks = "blocks";
 
-/// Converts the list of background blocks to JSON. File names are relative to the folder
-/// of the model.
+/// File names are relative to the folder of the model.
 std::string format_blocks_json(const Scene& scene, const std::filesystem::path& model_folder) {
     nlohmann::ordered_json json = nlohmann::ordered_json::array();
     for (const SceneBlock& b : scene.blocks)
@@ -153,7 +150,6 @@ glm::vec3 read_bounding_box_corner(const JsonField& field) {
     return {float(v[0]), float(v[1]), float(v[2])};
 }
 
-/// Reads the list of background blocks from JSON.
 /// @param model_folder  folder of the model, which must contain the files of the blocks
 void parse_blocks_json(const std::string& json_text, const std::string& error_location,
                        const std::filesystem::path& model_folder, Scene& scene) {
@@ -175,8 +171,7 @@ void parse_blocks_json(const std::string& json_text, const std::string& error_lo
 
 constexpr const char* kSensorDrop = "sensor_drop";
 
-/// Reads the table [channels, bins] of the sensor's ray-drop probabilities, if the file
-/// contains it.
+/// [channels, bins], if the file contains it.
 void read_sensor_drop_table(const std::vector<NamedArray>& arrays, Scene& scene,
                             const std::string& file_name) {
     const auto it =
@@ -261,7 +256,7 @@ Scene load_scene_from_model_file(const std::filesystem::path& path) {
             file, fmt::join(mean.shape, ", "), kMaxSurfels);
     const SurfelParameterSet parameters = read_surfel_parameter_set(
         file, metadata, kPrimitiveKey, [&](const char* name) { return find_array(arrays, name) != nullptr; });
-    // Checks the number of rows of every array before memory is allocated.
+    // before memory is allocated
     for (const SurfelParameterGroup& group : list_parameter_groups(parameters)) {
         const NamedArray& array = require_array_by_name(arrays, group.name, file);
         if (array.shape.empty() || array.shape[0] != mean.shape[0])

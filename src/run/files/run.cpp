@@ -48,8 +48,7 @@ void create_folder(const fs::path& folder) {
              failed ? failed.message() : "a file with this name exists");
 }
 
-/// Creates a hard link to a file. If the file system cannot create the link, copies the
-/// file.
+/// Copies the file if the file system cannot create a hard link.
 void link_or_copy_file(const fs::path& source_file, const fs::path& target_file) {
     create_folder(target_file.parent_path());
     std::error_code failed;
@@ -63,10 +62,7 @@ void link_or_copy_file(const fs::path& source_file, const fs::path& target_file)
     });
 }
 
-/// Links or copies the files of the background blocks to `target_folder`. Returns the
-/// blocks with the new file paths.
-/// @param skip_files_already_in_run_folder  true: skips files that are already in the
-/// folder of the run
+/// Returns the blocks with the new file paths.
 std::vector<SceneBlock> link_or_copy_block_files(const TrainedRun& run, const fs::path& target_folder,
                                                  bool skip_files_already_in_run_folder) {
     std::vector<SceneBlock> blocks = run.scene.blocks;
@@ -80,9 +76,8 @@ std::vector<SceneBlock> link_or_copy_block_files(const TrainedRun& run, const fs
     return blocks;
 }
 
-/// Writes the settings of a run to config.toml. Some fields of Config are not settings,
-/// so the file cannot store them. Throws an error if such a field differs from the
-/// preset.
+/// Some fields of Config are not settings, so the file cannot store them. Throws an error
+/// if such a field differs from the preset.
 void save_run_config(const TrainedRun& run, const fs::path& folder) {
     const fs::path path = folder / kConfigFile;
     write_text_file(path, to_toml(run.config));
@@ -96,7 +91,7 @@ void save_run_config(const TrainedRun& run, const fs::path& folder) {
 
 void save_scene(const TrainedRun& run, const fs::path& folder, bool keep_block_files) {
     if (run.scene.blocks.empty()) return save_scene_to_model_file(folder / kModelFile, run.scene);
-    // run.scene contains only the actors, because the background surfels are in block
+    // The scene contains only the actors, because the background surfels are in block
     // files.
     Scene scene = run.scene;
     scene.blocks = link_or_copy_block_files(run, folder, keep_block_files);
@@ -104,7 +99,7 @@ void save_scene(const TrainedRun& run, const fs::path& folder, bool keep_block_f
 }
 
 void write_run_files(const TrainedRun& run, const fs::path& folder, bool keep_block_files) {
-    // Writes the small text files first, so that an invalid value causes an error early.
+    // The small text files first, so that an invalid value causes an error early.
     write_text_file(folder / kSceneFile, run_detail::format_scene_json(run));
     save_run_config(run, folder);
     save_scene(run, folder, keep_block_files);
@@ -115,8 +110,7 @@ void write_run_files(const TrainedRun& run, const fs::path& folder, bool keep_bl
     run_detail::save_intensity_scatter(folder / kScatterFile, run.intensity_scatter);
 }
 
-/// Writes all files of a run to a temporary folder. Error messages show the final file
-/// names, not the temporary names.
+/// Error messages show the final file names, not the temporary names.
 void write_run_to_staging_folder(const TrainedRun& run, const fs::path& staging_folder,
                                  bool keep_block_files) {
     try {
@@ -130,7 +124,6 @@ void write_run_to_staging_folder(const TrainedRun& run, const fs::path& staging_
     }
 }
 
-/// A temporary folder. The destructor deletes the folder and its contents.
 struct TemporaryFolder {
     fs::path path;
 
@@ -152,9 +145,9 @@ void rename_file(const fs::path& source, const fs::path& target) {
         fail("cannot write '{}': renaming the temporary file failed: {}", target.string(), failed.message());
 }
 
-/// Moves the files of `staging_folder` to the run's folder. First deletes the old
-/// config.toml if it differs or if `remove_old_files` is set. Otherwise config.toml
-/// stays, so that training can be resumed even if the process is killed during the move.
+/// First deletes the old config.toml if it differs or if `remove_old_files` is set.
+/// Otherwise it stays, so that training can be resumed even if the process is killed
+/// during the move.
 void move_staged_files(const fs::path& staging_folder, const fs::path& run_folder,
                        const std::function<void()>& remove_old_files) {
     const std::string config = read_file(staging_folder / kConfigFile);
@@ -259,9 +252,8 @@ bool is_run_folder(const fs::path& path) {
 
 void create_folder_and_require_writable(const fs::path& folder) {
     create_folder(folder);
-    // The name of the test file contains the process id, because several processes may
-    // test the same folder. If the process is killed here, remove_temporary_files()
-    // deletes the file later.
+    // Several processes may test the same folder. If the process is killed here,
+    // remove_temporary_files() deletes the file later.
     const std::string probe = (folder / fmt::format(".probe.tmp-{}-0", ::getpid())).string();
     const int file = ::open(probe.c_str(), O_WRONLY | O_CREAT | O_CLOEXEC, 0600);
     if (file < 0) fail("cannot write to '{}': {}", folder.string(), std::generic_category().message(errno));

@@ -1,6 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads and writes the statistical intensity models of a run's LiDARs as a safetensors
-// file.
 #include "run/files/scatter_file.hpp"
 
 #include <algorithm>
@@ -51,14 +49,13 @@ void append_scatter_arrays(std::vector<NamedArray>& arrays, std::size_t lidar_in
     arrays.push_back(make_one_dimensional_array(name("step"), std::vector{scatter.step}));
 }
 
-/// Reads the arrays that describe the intensity noise of one LiDAR.
+/// of one LiDAR
 struct ScatterArrays {
     const std::vector<NamedArray>& arrays;
     const std::string& file;
     const std::size_t lidar;
 
-    /// Reads an array of `expected_count` finite numbers. If `expected_count` is 0, the
-    /// array may have any length.
+    /// any length if `expected_count` is 0
     std::vector<double> read_finite_array(const char* array_suffix, const char* dtype,
                                           std::size_t expected_count = 0) const {
         const std::string name = fmt::format("{}.{}", lidar, array_suffix);

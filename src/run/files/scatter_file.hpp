@@ -17,7 +17,6 @@ namespace relidar::run_detail {
 /// no LiDAR has a model, no file is written.
 void save_intensity_scatter(const std::filesystem::path& path,
                             const std::vector<IntensityScatterModel>& scatter_per_lidar);
-/// Reads the models of intensity noise, one per LiDAR. Each model has a decision tree.
 /// @param n_lidars  number of LiDARs of the log
 /// @throws DataError for missing arrays, wrong shapes, or nodes that do not form a tree
 std::vector<IntensityScatterModel> load_intensity_scatter(const std::filesystem::path& path,

@@ -1,5 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Loads blocks (parts of the background of a large scene) from their files.
 #include <relidar/run/run.hpp>
 
 #include <numeric>

@@ -23,13 +23,11 @@ using Json = nlohmann::ordered_json;
 
 constexpr const char* kSceneFormat = "relidar scene";
 constexpr int kSceneVersion = 3;
-// Maximum length or time in a file. A file with a larger value is damaged and is
-// rejected.
+// a file with a larger length or time is damaged
 constexpr double kHuge = 1e12;
-// Maximum coordinate of a position, relative to the origin of the scene. The origin is
-// the position of the sensor in the middle frame.
+// relative to the sensor in the middle frame
 constexpr double kFarthest_m = 1e6;
-// Maximum distance between the origin of the scene and the origin of the dataset's world.
+// between the origins of the scene and of the dataset's world
 constexpr double kFarthestWorld_m = 1e9;
 constexpr std::int64_t kMaxInt = 2147483647, kMaxFrame = 99999999;
 constexpr const char* kUnits = "metres, seconds, radians";
@@ -92,8 +90,6 @@ Json make_frames_json(const LidarSequence& sequence, const TrainTestSplit& split
     return frames;
 }
 
-/// Checks that the absolute value of each number is at most `max_absolute_value`.
-/// @throws DataError for the first number above this limit
 void require_absolute_values_at_most(const JsonField& field, std::initializer_list<double> values,
                                      double max_absolute_value) {
     for (const double v : values)
@@ -111,8 +107,7 @@ Pose read_pose(const JsonField& field) {
         field.throw_field_error(fmt::format("found a quaternion of length {}", length),
                                 "expected a quaternion of length 1");
     require_absolute_values_at_most(field, {v[0], v[1], v[2]}, kFarthest_m);
-    // Does not normalise the quaternion again, because rounding would change its last
-    // digits.
+    // Not normalised again, because rounding would change its last digits.
     return {q, {v[0], v[1], v[2]}};
 }
 
@@ -149,7 +144,6 @@ std::vector<Lidar> read_lidars(const JsonField& root) {
     return lidars;
 }
 
-/// Reads the model of how measured intensities depend on range and angle of incidence.
 IntensityResponse read_intensity_response(const JsonField& field) {
     const IntensityResponse r{field.at("range_m").get_numbers(), field.at("factor").get_numbers(),
                               field.at("incidence").get_number_in_range(0.0, 1.0)};
@@ -183,7 +177,6 @@ void read_frames_and_train_test_split(const JsonField& field, SceneJsonContents&
         else if (part == "test") scene.split.test.push_back(static_cast<int>(i));
         else if (part != "unused")
             entry.at("split").throw_field_error("found \"" + part + "\"", "expected train, test or unused");
-        // Frames at the same time have the same pose.
         const Pose pose = read_pose(entry.at("world_from_vehicle"));
         PoseTrack& track = scene.sequence.world_from_vehicle;
         if (track.time_s.empty() || track.time_s.back() != frame.time_s) {
@@ -227,8 +220,7 @@ BoxTrack read_box_track(const JsonField& field) {
     return box;
 }
 
-/// Compares each count in the file with the length of its list, to detect entries that a
-/// manual edit or a wrong merge has removed.
+/// Detects entries that a manual edit or a wrong merge has removed.
 void require_counts_match_list_lengths(const JsonField& root, const SceneJsonContents& scene) {
     const auto check = [&](const char* name, std::size_t n) {
         const JsonField count = root.at("counts").at(name);
@@ -270,8 +262,7 @@ std::string format_scene_json(const TrainedRun& run) {
     if (!run.refined_poses.empty()) json["refined_poses"] = run.refined_poses;
     for (const EditHistoryEntry& e : run.edits) json["edits"].push_back({{"run", e.run}, {"edit", e.edit}});
     const std::string text = json.dump(1, ' ', false, Json::error_handler_t::replace);
-    // Parses the new text once, to reject values that cannot be read again, for example
-    // NaN in a pose.
+    // Rejects values that cannot be read again, for example NaN in a pose.
     parse_scene_json(text, "writing scene.json");
     return text + "\n";
 }

@@ -9,11 +9,9 @@
 
 namespace relidar::run_detail {
 
-/// Converts the log of a run and its split into training and test frames to JSON text.
 /// @throws DataError if the sequence is inconsistent or not finite
 std::string format_scene_json(const TrainedRun& run);
 
-/// Contents of scene.json.
 struct SceneJsonContents {
     LidarSequence sequence;  ///< frames without scans
     TrainTestSplit split;
@@ -22,9 +20,8 @@ struct SceneJsonContents {
     std::string refined_poses;
     std::size_t n_surfels = 0;
 };
-/// Parses the text of scene.json.
 /// @param file_name  name of the file in error messages
-/// @throws DataError if the text is invalid; the message names the file and the field
+/// @throws DataError naming the file and the field
 SceneJsonContents parse_scene_json(const std::string& json_text, const std::string& file_name);
 
 }  // namespace relidar::run_detail

@@ -1,6 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads and writes the measured azimuths of the LiDAR head in each frame of a run, as a
-// safetensors file.
 #include "run/files/sweeps_file.hpp"
 
 #include <charconv>

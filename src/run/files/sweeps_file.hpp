@@ -9,11 +9,9 @@
 
 namespace relidar::run_detail {
 
-/// Writes the azimuth corrections of each frame as an array [columns] f4 in radians. The
-/// name of the array is the index of the frame in scene.json. A frame without corrections
-/// has no array. Writes no file if no frame has corrections.
+/// An array [columns] f4 in radians per frame, named by its index in scene.json. Frames
+/// without corrections have no array. Writes no file if no frame has corrections.
 void save_azimuth_corrections(const std::filesystem::path& path, const LidarSequence& sequence);
-/// Reads the azimuth corrections of all frames and stores them in the frames.
 /// @throws DataError for an array without a frame, with a wrong size, or with values
 /// outside -pi ... pi
 void load_azimuth_corrections(const std::filesystem::path& path, LidarSequence& sequence);

@@ -1,6 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Compares the measured and the simulated points of moving boxes. The points are compared
-// in the frames of the boxes.
 #include "score/evaluation/actor_scores.hpp"
 
 #include <algorithm>
@@ -16,16 +14,14 @@ namespace relidar {
 namespace {
 
 constexpr double kMargin_m = 0.1, kSilhouette_m = 0.3;
-// Points less than this height above the bottom of a box are ignored, because they belong
-// to the ground.
+// Lower points belong to the ground.
 constexpr double kFloor_m = 0.15;
 constexpr double kInlierDistance_m = 0.03, kLargeError_m = 0.3;
 constexpr double kSweep_m = 2.0;  // Maximum distance that a box moves within one sweep.
 // Persons with fewer real points are not scored.
 constexpr std::size_t kFewest = 10;
 
-/// A box in a scan. Converts points from the sensor frame to the frame of the box, at the
-/// time when the LiDAR measured them.
+/// Converts points to the frame of the box at the time when the LiDAR measured them.
 struct BoxInScan {
     const LidarSequence& sequence;
     const SweepTiming& sweep_timing;
@@ -43,8 +39,8 @@ struct BoxInScan {
         return sequence.world_from_vehicle.interpolate_mounted_pose(
             t_s, sequence.lidars[std::size_t(sweep_timing.lidar)].vehicle_from_sensor);
     }
-    /// Converts a point to the frame of the box. Uses the poses at the time when the
-    /// LiDAR's head faces the point. Returns nothing if the point is far from the box.
+    /// At the time when the LiDAR's head faces the point. Nothing if the point is far
+    /// away.
     std::optional<glm::dvec3> transform_to_box_frame(const glm::dvec3& sensor_point_m) const {
         if (glm::distance(sensor_point_m, centre_m) >
             0.5 * glm::length(box.size_m) + kSilhouette_m + kSweep_m)
@@ -71,9 +67,7 @@ double compute_mean(const std::vector<double>& values) {
     return sum / double(std::max<std::size_t>(values.size(), 1));
 }
 
-/// Adds metrics of range errors to a row: the median, the bias and the fraction of large
-/// errors. Adds nothing if there are no errors.
-/// @param name_prefix  prefix of the metric names
+/// Median, bias and fraction of large errors. Nothing if there are no errors.
 void add_range_error_metrics(MetricValues& row, const std::string& name_prefix,
                              const std::vector<double>& range_errors_m) {
     if (range_errors_m.empty()) return;
@@ -87,8 +81,7 @@ void add_range_error_metrics(MetricValues& row, const std::string& name_prefix,
     row[name_prefix + "above_30cm"] = compute_mean(large);
 }
 
-/// Errors of a group of boxes: either all people and cyclists, or all other labelled
-/// boxes.
+/// All people and cyclists, or all other labelled boxes.
 struct BoxGroupErrors {
     std::vector<double> range_error_m, chamfer_m, inlier_flags;
     double both = 0.0, either = 0.0;

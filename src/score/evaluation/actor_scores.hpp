@@ -12,7 +12,6 @@
 
 namespace relidar {
 
-/// Scores of each moving box in a frame, and metrics over groups of boxes such as people.
 struct FrameActorScores {
     std::vector<ActorScore> actors;  ///< scores of the labelled and the discovered boxes
     /// Metrics over all points, and over the labelled boxes with at least ten real
@@ -30,14 +29,12 @@ struct FrameActorScores {
     MetricValues metrics;
 };
 
-/// Computes the scores of all moving boxes in a frame.
 /// @param point_ranges_m [n] range of the simulated point on each ray
 FrameActorScores compute_actor_scores(const RangeImage& rendered, const std::vector<float>& point_ranges_m,
                                       const RangeImage& real, const LidarSequence& sequence,
                                       const SweepTiming& sweep);
 
-/// Combines the scores of each actor over several frames. Adds the numbers of points.
-/// Averages all other metrics, weighted by the number of real points.
+/// Adds the numbers of points. Averages other metrics, weighted by the real points.
 /// @param scores_per_frame [frames][actors]
 std::vector<ActorScore> average_actor_scores(const std::vector<std::vector<ActorScore>>& scores_per_frame);
 

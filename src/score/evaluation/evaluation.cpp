@@ -22,12 +22,10 @@ namespace relidar {
 namespace {
 
 constexpr double kSameTime_s = 1e-3;
-// Number of frames whose metrics are computed in parallel. It is limited because all
-// images of these frames are in memory at the same time.
+// limited because all images of these frames are in memory
 constexpr std::size_t kScoredAtOnce = 16;
 
-/// Returns the sensor with which a frame is rendered. If config.sensor.grid is "native",
-/// the sensor fires exactly the rays of the recorded scan.
+/// With the grid "native", exactly the rays of the recorded scan.
 SimulatedSensor make_sensor_for_frame(const Config& config, const LidarSequence& sequence,
                                       const LidarFrame& frame) {
     SimulatedSensor sensor = make_sensor_from_config(config, sequence, frame.lidar);
@@ -39,8 +37,8 @@ SimulatedSensor make_sensor_for_frame(const Config& config, const LidarSequence&
     return sensor;
 }
 
-/// Converts one flag per return of a scan to one flag per image pixel. Stores the flags
-/// as intensities, because make_measured_image() projects intensities to pixels.
+/// Stores one flag per return as intensity, because make_measured_image() projects
+/// intensities.
 std::vector<bool> convert_return_flags_to_pixels(const std::vector<bool>& return_flags, const Config& config,
                                                  const LidarFrame& frame) {
     Scan flags = frame.scan;
@@ -49,13 +47,11 @@ std::vector<bool> convert_return_flags_to_pixels(const std::vector<bool>& return
     return {binned.intensity.begin(), binned.intensity.end()};
 }
 
-/// A frame that was rendered but not scored yet.
 struct RenderedFrame {
     ScoredFrame frame;
-    /// [n] true for pixels whose return is in a labelled box of a moving object.
+    /// [n] return in a labelled box of a moving object
     std::vector<bool> moving;
-    /// [n] true for pixels whose return is in the box of a moving object that has no
-    /// label. Empty if the run has no such boxes.
+    /// [n] return in a moving box without label; empty without such boxes
     std::vector<bool> discovered;
     MetricValues class_scores;  ///< scores of the channel `class`; empty without labels
 };
@@ -76,8 +72,7 @@ RenderedFrame make_frame_with_real_image(const Config& config, const LidarSequen
     return result;
 }
 
-/// Returns true if the rendered classes of a frame can be compared with labels. The frame
-/// must have labels, and each pixel must be a recorded ray (grid "native").
+/// The frame must have labels, and each pixel must be a recorded ray (grid "native").
 bool can_score_surface_classes(const ScanRenderer& renderer, const Config& config, const LidarFrame& frame) {
     return renderer.has_background_classes() && config.sensor.grid == "native" && !frame.scan.classes.empty();
 }
@@ -95,14 +90,13 @@ RenderedFrame render_frame_for_scoring(ScanRenderer& renderer, const Config& con
     return result;
 }
 
-/// Loads the LPIPS network if a file with weights is set. Returns null otherwise.
+/// Null if no file with weights is set.
 std::unique_ptr<Lpips> load_lpips_network() {
     const std::string file = find_lpips_weights_path();
     return file.empty() ? nullptr : std::make_unique<Lpips>(read_lpips_weights(file));
 }
 
-/// Computes the metrics of several rendered frames in parallel.
-/// @param lpips_network  network for the LPIPS metric; if null, this metric is left out
+/// @param lpips_network  if null, this metric is left out
 std::vector<ScoredFrame> score_rendered_frames(std::vector<RenderedFrame> rendered_frames,
                                                const Config& config, const LidarSequence& sequence,
                                                const Lpips* lpips_network) {
@@ -140,8 +134,7 @@ void compute_and_store_actor_scores(std::vector<ScoredFrame>& frames, const Lida
     for (ScoredFrame& frame : frames) {
         const SweepTiming sweep{frame.time_s, frame.lidar, frame.start};
         const RangeImage& rendered = frame.rendered.image;
-        // `points_m` is empty for a baseline, which projects real scans instead of
-        // rendering them. In this case, uses the ranges of the image.
+        // a baseline has only the ranges of the image
         const std::vector<float>& points_m = select_point_ranges(frame.rendered, config);
         FrameActorScores scores = compute_actor_scores(
             rendered, points_m.empty() ? rendered.range_m : points_m, frame.real, sequence, sweep);
@@ -168,8 +161,7 @@ RangeErrorCounts count_rays_by_range_and_error(const RangeImage& rendered, const
     return counts;
 }
 
-/// Parameters of an evaluation of many frames. Frames are rendered and scored in small
-/// batches to limit memory. Each batch frees its images before the next batch starts.
+/// Frames are rendered and scored in batches of kScoredAtOnce, to limit memory.
 struct BatchEvaluationParams {
     const std::vector<int>& positions;  ///< indices into sequence.frames
     const LidarSequence& sequence;
@@ -178,9 +170,7 @@ struct BatchEvaluationParams {
     const ScoredFrameCallback& see;
 };
 
-/// Renders all frames and computes their metrics, in batches of kScoredAtOnce frames.
 /// @param progress_text  text shown with the progress
-/// @param render_one_frame  function that renders one frame
 std::vector<ScoredFrame> render_and_score_frames(
     const BatchEvaluationParams& frame_batch, const char* progress_text,
     const std::function<RenderedFrame(int position, const LidarFrame&)>& render_one_frame) {
@@ -201,7 +191,7 @@ std::vector<ScoredFrame> render_and_score_frames(
         for (ScoredFrame& frame : scored_batch) {
             frame.range_errors = count_rays_by_range_and_error(frame.rendered.image, frame.real);
             if (frame_batch.see) frame_batch.see(frame);
-            // Only the middle frame keeps its images. All frames keep the rendering time.
+            // Only the middle frame keeps its images.
             if (scored.size() != n / 2) {
                 const double trace_ms = frame.rendered.trace_ms;
                 frame.rendered = {};
@@ -247,8 +237,8 @@ ScoredFrame render_and_score_frame(ScanRenderer& renderer, const Config& config,
 EvaluationResult evaluate_frames(ScanRenderer& renderer, const Config& config, const LidarSequence& sequence,
                                  const std::vector<int>& frame_indices, const ProgressReporter& progress,
                                  const ScoredFrameCallback& on_frame) {
-    // Reports show the drop probability before and after its correction by a neural
-    // network. The channel "surfel_drop_prob" has the values before the correction.
+    // The channel has the drop probability before its correction by a network, for
+    // reports.
     if (on_frame && renderer.has_drop_network_for(make_sensor_from_config(config, sequence)))
         renderer.enable_optional_channels("surfel_drop_prob");
     if (std::ranges::any_of(frame_indices, [&](int position) {

@@ -1,6 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Counts the points in comet tails. A comet tail is the space that a moving box occupies
-// at other times of the log, but not at the time of the point.
 #include "score/evaluation/tails.hpp"
 
 #include <algorithm>
@@ -10,12 +8,11 @@
 namespace relidar {
 namespace {
 
-// A point within this distance of a box belongs to the object, because labels do not fit
-// objects exactly.
+// Labels do not fit objects exactly.
 constexpr double kNowMargin_m = 0.3;
 constexpr double kGround_m = 0.3;
 
-/// The volume that a moving box sweeps: the box with all its labelled poses.
+/// the box with all its labelled poses
 struct SweptBoxVolume {
     const BoxTrack* box;
     std::vector<Pose> box_from_world;
@@ -51,9 +48,6 @@ bool is_point_in_swept_volume(const SweptBoxVolume& swept_volume, const glm::dve
                        });
 }
 
-/// Numbers of points: all points, and points in comet tails (motion trails). The comet
-/// tail of a moving box is the space that the box occupies only at other times of the
-/// log.
 struct CometTailPointCounts {
     std::size_t n_points = 0, n_tail_points = 0;
     std::vector<std::size_t> n_of_box;  ///< [swept] points in the tail of each box
@@ -71,7 +65,7 @@ CometTailPointCounts count_comet_tail_points_by_box(const RangeImage& image,
                                                     const LidarSequence& sequence,
                                                     const std::vector<SweptBoxVolume>& swept_volumes,
                                                     const SweepTiming& sweep) {
-    // Number of rays that a thread processes in one step.
+    // per step of a thread
     constexpr std::size_t kRays = 2048;
     const Pose& mounted = sequence.lidars[std::size_t(sweep.lidar)].vehicle_from_sensor;
     return parallel_sum_over_ranges(point_ranges_m.size(), kRays, [&](std::size_t begin, std::size_t end) {

@@ -1,5 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Compares the classes of simulated rays with the labels of real returns.
 #include <relidar/score/metrics.hpp>
 
 #include <array>

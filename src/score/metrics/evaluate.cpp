@@ -23,15 +23,13 @@ namespace {
 using namespace metrics_detail;
 using PointPositions = std::vector<glm::dvec3>;
 
-// Minimum mean squared error, so that the PSNR of identical images is finite.
+// so that the PSNR of identical images is finite
 constexpr double kMinSquaredError = 1e-20;
 constexpr double kFineThreshold_m = 0.05;
-// Distance threshold of the F-score in published tables: the square root of 0.05, because
-// the published code compares squared distances with 0.05.
+// sqrt(0.05), because the published code compares squared distances with 0.05
 constexpr double kPeerThreshold_m = 0.22360679774997896964;
 constexpr int kSsimWindow = 7;
-// Minimum edge length of an image for LPIPS. Smaller images would be empty after the
-// pooling layers.
+// smaller images would be empty after the pooling layers
 constexpr int kLpipsEdge = 31;
 
 PointPositions compute_points_of_masked_pixels(const RangeImage& image, const PixelMask& mask) {
@@ -43,16 +41,14 @@ PointPositions compute_points_of_masked_pixels(const RangeImage& image, const Pi
     return result;
 }
 
-/// A full rendered image, and the full real image to which it is compared.
 struct ImagePair {
     PixelValues rendered, real;
     int rows, columns;
     double peak;
 };
 
-/// Returns the rendered and the real range image. Dropped pixels have the range 0.
-/// @param drop_threshold  rendered pixels with at least this drop probability count as
-/// dropped
+/// Dropped pixels have the range 0.
+/// @param drop_threshold  rendered pixels with at least this drop probability are dropped
 ImagePair make_depth_image_pair(const RangeImage& rendered, const RangeImage& real, double drop_threshold,
                                 double max_range_m) {
     return {clamp_values_and_set_unmasked_to_minimum(
@@ -70,8 +66,7 @@ ImagePair make_intensity_image_pair(const RangeImage& rendered, const RangeImage
             real.rows, real.columns, kMaxIntensity};
 }
 
-/// Computes errors, PSNR, SSIM and LPIPS of full images. Leaves SSIM out if the real
-/// image is constant, or if the image is smaller than the SSIM window.
+/// Leaves SSIM out if the real image is constant or smaller than the SSIM window.
 void add_image_metrics(MetricValues& row, const std::string& name_prefix, const std::string& unit_suffix,
                        const ImagePair& image_pair, const Lpips* lpips_network) {
     const double squared =
@@ -92,8 +87,7 @@ double compute_fraction_below(const PixelValues& distances, double threshold) {
     return double(n) / double(distances.size());
 }
 
-/// Distances from each point of a cloud to the nearest point of the other cloud, in both
-/// directions.
+/// to the nearest point of the other cloud, in both directions
 struct CloudDistances {
     PixelValues to_truth, to_rendered;
 
@@ -109,8 +103,7 @@ struct CloudDistances {
     double compute_squared_chamfer_distance() const {
         return compute_mean_square(to_truth) + compute_mean_square(to_rendered);
     }
-    /// Returns the F-score: the harmonic mean of precision and recall. Returns 0 if a
-    /// cloud is empty.
+    /// harmonic mean of precision and recall; 0 if a cloud is empty
     double compute_f_score(double threshold_m) const {
         if (!has_distances()) return 0.0;
         const double precision = compute_fraction_below(to_truth, threshold_m),
@@ -137,7 +130,6 @@ void add_published_protocol_metrics(MetricValues& row, const RangeImage& rendere
     row["peer/f_score"] = distances.compute_f_score(kPeerThreshold_m);
 }
 
-/// Adds metrics of a classifier that predicts for each pixel whether its ray is dropped.
 /// "Dropped" is the positive class.
 void add_ray_drop_metrics(MetricValues& row, const PixelMask& rendered_returns,
                           const PixelMask& real_returns) {
@@ -157,8 +149,7 @@ void add_ray_drop_metrics(MetricValues& row, const PixelMask& rendered_returns,
     row["strict/drop_f1"] = ratio(2 * hits, 2 * hits + false_drops + missed_drops);
 }
 
-/// Computes range errors of the pixels that have a return in both images. Also computes
-/// distances between the rendered and the real point cloud.
+/// Range errors of pixels with a return in both images, and distances of the clouds.
 void add_point_metrics(MetricValues& row, const std::string& name_prefix, const RangeImage& rendered,
                        const RangeImage& real, const MetricOptions& options) {
     const PixelMask rendered_returns = make_positive_range_mask(rendered, options.strict_drop_threshold),
@@ -190,8 +181,7 @@ void add_strict_protocol_metrics(MetricValues& row, const RangeImage& rendered, 
                                   select_and_clamp_masked_values(rendered.intensity, both, kMaxIntensity),
                                   select_and_clamp_masked_values(real.intensity, both, kMaxIntensity));
     add_ray_drop_metrics(row, rendered_returns, real_returns);
-    // Compares the rendered drop probability with the real drop (0 or 1), without a
-    // threshold.
+    // without a threshold
     PixelValues drop_error(real.drop_prob.size());
     for (std::size_t i = 0; i < drop_error.size(); ++i)
         drop_error[i] = double(rendered.drop_prob[i]) - double(real.drop_prob[i]);

@@ -23,15 +23,13 @@ namespace {
 using Matrix = Eigen::Matrix<float, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
 
 constexpr int kLayers = 5;
-// Minimum edge length of an image. The pooling layers reduce 31 pixels to 7, 3 and
-// finally 1.
+// the pooling layers reduce 31 pixels to 7, 3 and finally 1
 constexpr int kMinEdge = 31;
 constexpr double kNormFloor = 1e-10;
 constexpr float kColourShift[3] = {-0.030f, -0.088f, -0.188f};
 constexpr float kColourScale[3] = {0.458f, 0.448f, 0.450f};
 
-/// A convolution layer of AlexNet. If `pooled` is true, 3 x 3 max-pooling with stride 2
-/// precedes the convolution.
+/// If `pooled`, 3 x 3 max-pooling with stride 2 precedes the convolution.
 struct ConvLayerShape {
     int out, in, edge, stride, padding;
     bool pooled;
@@ -42,14 +40,14 @@ constexpr ConvLayerShape kAlexNet[kLayers] = {{64, 3, 11, 4, 2, false},
                                               {256, 384, 3, 1, 1, false},
                                               {256, 256, 3, 1, 1, false}};
 
-/// Output of a network layer: one image of rows x columns pixels for each channel.
+/// one image of rows x columns pixels for each channel
 struct FeatureMap {
     int rows = 0, columns = 0;
     Matrix values;  ///< [channels, rows*columns]
 };
 
-/// Copies the window around each output pixel of a convolution to a column of a matrix
-/// (im2col). Pixels outside the input image are 0.
+/// Window around each output pixel as a column of a matrix (im2col), 0 outside of the
+/// image.
 /// @return [in*edge*edge, output_rows*output_columns]
 Matrix unroll_patches_for_convolution(const FeatureMap& input_features, const ConvLayerShape& layer,
                                       int output_rows, int output_columns) {
@@ -88,7 +86,7 @@ FeatureMap apply_convolution_and_relu(const FeatureMap& input_features, const Co
     return result;
 }
 
-/// Applies a 3 x 3 max-pooling with stride 2 to feature images.
+/// 3 x 3 with stride 2
 FeatureMap apply_max_pooling(const FeatureMap& input_features) {
     FeatureMap result{(input_features.rows - 3) / 2 + 1, (input_features.columns - 3) / 2 + 1, {}};
     result.values.resize(input_features.values.rows(), Eigen::Index(result.rows) * result.columns);
@@ -103,9 +101,8 @@ FeatureMap apply_max_pooling(const FeatureMap& input_features) {
     return result;
 }
 
-/// Returns the LPIPS distance of two feature images. At each pixel, normalises both
-/// feature vectors to unit length and computes their weighted squared difference.
-/// Averages over all pixels.
+/// Normalises both feature vectors of a pixel to unit length. Returns their weighted
+/// squared difference, averaged over all pixels.
 double compute_feature_distance(const FeatureMap& first_features, const FeatureMap& second_features,
                                 const std::vector<float>& channel_weights) {
     const Eigen::ArrayXXd fa = first_features.values.cast<double>().array(),

@@ -1,5 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads the weights of LPIPS from a safetensors file.
 #include <relidar/base/arrays.hpp>
 #include <relidar/score/metrics.hpp>
 

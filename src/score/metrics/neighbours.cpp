@@ -18,12 +18,10 @@
 namespace relidar {
 namespace {
 
-// The column computed from an azimuth can be wrong by up to 2.8 columns (HDL-64E).
-// Therefore this many columns are searched on each side.
+// on each side, because the column of an azimuth can be wrong by 2.8 (HDL-64E)
 constexpr int kColumnSearch = 4;
 
-/// Returns the nearest training frames of the same LiDAR before and after a position of
-/// the log. Returns only one frame if the other does not exist.
+/// Of the same LiDAR before and after; only one if the other does not exist.
 std::vector<int> find_neighbouring_training_frames(const LidarSequence& sequence, int frame_index,
                                                    const std::vector<int>& training_frames) {
     const auto get_lidar = [&](int p) { return sequence.frames[std::size_t(p)].lidar; };
@@ -44,8 +42,7 @@ std::vector<int> find_neighbouring_training_frames(const LidarSequence& sequence
     return neighbours;
 }
 
-/// Converts a point from the world frame to the sensor frame at the time when the
-/// rotating LiDAR faces the point.
+/// at the time when the rotating LiDAR faces the point
 glm::dvec3 transform_world_point_to_sensor(const LidarSequence& sequence, const glm::dvec3& world_point_m,
                                            const LidarFrame& frame) {
     const Pose& mounted = sequence.get_lidar(frame).vehicle_from_sensor;
@@ -67,7 +64,6 @@ void append_point_to_scan(Scan& scan, const glm::dvec3& sensor_point_m, float in
     scan.intensity.push_back(intensity);
 }
 
-/// Row and column of a ray in a table.
 struct RayPixel {
     int row = 0, column = 0;
 };
@@ -76,8 +72,8 @@ double compute_elevation_rad(const glm::dvec3& vector) {
     return std::asin(std::clamp(vector.z / glm::length(vector), -1.0, 1.0));
 }
 
-/// Assigns points to the rays of a table. Uses double precision, because the cosine of
-/// 0.02 degrees rounds to 1 in single precision.
+/// In double precision, because the cosine of 0.02 degrees rounds to 1 in single
+/// precision.
 struct RayTableNeighbours {
     const RayTable& rays;
     const bool circular = is_full_turn(rays.rows, rays.columns, rays.direction);
@@ -88,13 +84,12 @@ struct RayTableNeighbours {
                                      : std::clamp(ray_cell.column, 0, rays.columns - 1);
         return std::size_t(ray_cell.row) * std::size_t(rays.columns) + std::size_t(wrapped);
     }
-    /// Returns the azimuth of a direction, relative to a column of the middle row.
+    /// relative to a column of the middle row
     double compute_azimuth_from_column_rad(const glm::dvec3& direction, int column) const {
         const glm::dvec3 ray = get_ray_direction({rays.rows / 2, column});
         return std::remainder(std::atan2(direction.y, direction.x) - std::atan2(ray.y, ray.x), 2.0 * kPi);
     }
-    /// Returns the position of a point in units of columns. Columns of less than a full
-    /// turn have even steps.
+    /// In units of columns. Columns of less than a full turn have even steps.
     double estimate_column(const glm::dvec3& point_m) const {
         if (circular) return (1.0 - std::atan2(point_m.y, point_m.x) / kPi) / 2.0 * rays.columns;
         const int first = rays.columns / 4, last = 3 * rays.columns / 4;
@@ -106,8 +101,7 @@ struct RayTableNeighbours {
         return glm::dvec3(point_m) - glm::dvec3(rays.origin[get_ray_index(ray_cell)]);
     }
     glm::dvec3 get_ray_direction(RayPixel ray_cell) const { return rays.direction[get_ray_index(ray_cell)]; }
-    /// Returns the elevation of a point minus the elevation of a ray, both seen from the
-    /// origin of the ray.
+    /// both seen from the origin of the ray
     double compute_elevation_above_ray_rad(RayPixel ray_cell, const glm::vec3& point_m) const {
         return compute_elevation_rad(compute_vector_from_ray_origin(ray_cell, point_m)) -
                compute_elevation_rad(get_ray_direction(ray_cell));
@@ -116,8 +110,8 @@ struct RayTableNeighbours {
         const glm::dvec3 v = compute_vector_from_ray_origin(ray_cell, point_m);
         return glm::dot(v, get_ray_direction(ray_cell)) / glm::length(v);
     }
-    /// Returns the ray with the smallest angle to a point. Finds the row with the nearest
-    /// elevation, then compares the rays of this row and of the two neighbouring rows.
+    /// Finds the row with the nearest elevation, then compares it with both neighbouring
+    /// rows.
     RayPixel find_nearest_ray_cell(const glm::vec3& point_m) const {
         const int column = int(std::lround(estimate_column(point_m)));
         int row = 0;
@@ -138,9 +132,8 @@ struct RayTableNeighbours {
                 }
         return best;
     }
-    /// Returns true if a point is outside the outer rows of rays, or outside the outer
-    /// columns of less than a full turn. The distance must be more than half the spacing
-    /// of the rows or columns.
+    /// By more than half the spacing of the outer rows, or of the outer columns of less
+    /// than a full turn.
     bool is_point_outside_field_of_view(RayPixel ray_cell, const glm::vec3& point_m) const {
         const double column = estimate_column(point_m);
         if (!circular && (column < -0.5 || column > rays.columns - 0.5)) return true;
@@ -169,8 +162,7 @@ Scan predict_scan_from_neighbours(const LidarSequence& sequence, int predicted_f
         for (std::size_t ray = 0; ray < frame.scan.range_m.size(); ++ray) {
             if (!(frame.scan.range_m[ray] > 0.0f)) continue;
             WorldReturn w = compute_world_return(sequence, frame, ray);
-            // Moves the point along its ray to the measured range, which includes the
-            // range offset of the beam.
+            // the measured range includes the range offset of the beam
             w.point_m +=
                 double(frame.scan.range_m[ray] - compute_surface_return(sequence, frame, ray).range_m) *
                 w.direction;
@@ -180,9 +172,8 @@ Scan predict_scan_from_neighbours(const LidarSequence& sequence, int predicted_f
             });
             if (containing_box != moving.end()) {
                 const BoxTrack& box = **containing_box;
-                // Estimated time when `sweep` measures this box. `frame` measured it at
-                // w.time_s. Assumes that both times have the same offset from the time of
-                // their frame.
+                // Estimated time when `sweep` measures this box, with the same offset
+                // from its frame.
                 const double then_s = sweep.time_s + (w.time_s - frame.time_s);
                 if (!box.is_observed_at_time(then_s)) continue;
                 world_m = box.world_from_box.interpolate_pose(then_s) *

@@ -1,5 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Computes errors over selected pixels of a rendered and a real range image.
 #include "pixel_errors.hpp"
 #include "base/fail.hpp"
 
@@ -13,8 +12,7 @@
 namespace relidar::metrics_detail {
 namespace {
 
-// Lower limit of ranges and intensities. The published evaluation protocol
-// (docs/method.md section 8) clamps them to the same value.
+// of ranges and intensities in the published protocol (docs/method.md section 8)
 constexpr double kClampLow = 1e-6;
 
 double clamp_value(float value, double maximum) { return std::clamp(double(value), kClampLow, maximum); }
@@ -110,7 +108,6 @@ double add_error_metrics_and_get_mse(MetricValues& row, const std::string& name_
     const double squared = compute_mean_square(error);
     row[name_prefix + "rmse" + unit_suffix] = std::sqrt(squared);
     row[name_prefix + "mae" + unit_suffix] = compute_values_mean(error);
-    // The median of an even number of errors is the mean of the two middle errors.
     const auto middle = error.begin() + std::ptrdiff_t(error.size() / 2);
     std::nth_element(error.begin(), middle, error.end());
     double median = *middle;

@@ -14,36 +14,30 @@ namespace relidar::metrics_detail {
 using PixelMask = std::vector<bool>;
 using PixelValues = std::vector<double>;
 
-// If the drop probability of a pixel in a real image is above this value, the pixel is
-// dropped (has no return). Any value between 0 and 1 works, because real drop
-// probabilities are 0 or 1.
+// any value between 0 and 1, because real drop probabilities are 0 or 1
 inline constexpr double kRealDropThreshold = 0.5;
 inline constexpr double kMaxIntensity = 1.0;
 
-/// Checks that a rendered and a real image can be compared.
-/// @throws DataError if the images are empty, differ in shape, or contain a value that is
+/// @throws DataError if the images are empty, differ in shape, or have values that are
 /// not finite
 void require_comparable_images(const RangeImage& rendered, const RangeImage& real);
 
-/// Returns a mask of the pixels whose drop probability is below the threshold.
 PixelMask make_undropped_pixel_mask(const RangeImage& image, double drop_threshold);
-/// Returns a mask of the pixels that have a return: the drop probability is below the
-/// threshold and the range is above 0. The range 0 means that the ray hit no surface.
+/// Drop probability below the threshold, and range above 0 (0: the ray hit no surface).
 PixelMask make_positive_range_mask(const RangeImage& image, double drop_threshold);
 
-/// Returns all pixels, clamped to [1e-6, maximum]. Pixels outside the mask get the value
-/// 1e-6.
+/// All pixels, clamped to [1e-6, maximum]. Pixels outside the mask get 1e-6.
 PixelValues clamp_values_and_set_unmasked_to_minimum(const std::vector<float>& values, const PixelMask& mask,
                                                      double maximum);
-/// Returns only the values of pixels in the mask, clamped to [1e-6, maximum].
+/// Only pixels in the mask, clamped to [1e-6, maximum].
 PixelValues select_and_clamp_masked_values(const std::vector<float>& values, const PixelMask& mask,
                                            double maximum);
 
 double compute_values_mean(const PixelValues& values);
 double compute_mean_square(const PixelValues& values);
 
-/// Adds the metrics <prefix>rmse<unit>, <prefix>mae<unit> and <prefix>medae<unit> to the
-/// row. Adds nothing if there are no pixels.
+/// Adds <prefix>rmse<unit>, <prefix>mae<unit> and <prefix>medae<unit>, unless there are
+/// no pixels.
 /// @return mean squared error, or -1 if there are no pixels
 double add_error_metrics_and_get_mse(MetricValues& row, const std::string& name_prefix,
                                      const std::string& unit_suffix, const PixelValues& first,

@@ -37,11 +37,10 @@ PixelRegion make_range_band_region(const RangeImage& real_image, double min_rang
     return region;
 }
 
-/// Returns a mask of the returns of a frame that are in a moving box.
 PixelMask mask_returns_in_moving_boxes(std::vector<BoxTrack> boxes, const LidarSequence& sequence,
                                        const LidarFrame& frame, const Pose& sensor_offset) {
     const PoseTrack track = compute_mounted_track(sequence.get_world_from_sensor(frame.lidar), sensor_offset);
-    // Evaluates is_moving() only once for each box, because it is slow.
+    // is_moving() is slow
     std::erase_if(boxes, [](const BoxTrack& box) { return !box.is_moving(); });
     PixelMask moving(frame.scan.range_m.size());
     for (std::size_t ray = 0; ray < moving.size(); ++ray) {
@@ -103,8 +102,7 @@ std::vector<bool> mask_returns_in_labelled_movers(const LidarSequence& sequence,
                                                   const Pose& sensor_offset) {
     std::vector<BoxTrack> labelled = sequence.boxes;
     std::erase_if(labelled, [](const BoxTrack& box) { return box.category == kDiscoveredCategory; });
-    // discover_tracks() may have added poses before the first or after the last label of
-    // a box. Removes these poses, so that the result does not depend on them.
+    // Without the poses that discover_tracks() may have added.
     for (BoxTrack& box : labelled) box = box.copy_track_of_labelled_poses();
     return mask_returns_in_moving_boxes(std::move(labelled), sequence, frame, sensor_offset);
 }

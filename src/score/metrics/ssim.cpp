@@ -21,7 +21,7 @@ namespace {
 
 constexpr int kWindow = 7;
 
-/// Sums over a window of two images a and b, which SSIM needs: of a, b, a^2, b^2 and a*b.
+/// over a window of two images a and b: a, b, a^2, b^2 and a*b
 struct SsimWindowSums {
     std::array<double, 5> sum{};
 
@@ -44,7 +44,7 @@ double compute_window_ssim(const SsimWindowSums& window_sums, double c1, double 
     return (2.0 * ma * mb + c1) * (2.0 * cov + c2) / ((ma * ma + mb * mb + c1) * (va + vb + c2));
 }
 
-/// For each row, returns the sums over every 7 consecutive pixels.
+/// Sums over every 7 consecutive pixels of a row.
 /// @return [rows * (columns - 6)]
 std::vector<SsimWindowSums> compute_row_window_sums(const std::vector<double>& first_image,
                                                     const std::vector<double>& second_image, int rows,

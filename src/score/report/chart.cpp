@@ -18,15 +18,14 @@
 namespace relidar::report_detail {
 namespace {
 
-// Margins of a chart in SVG units, with space for the labels.
+// in SVG units, with space for the labels
 constexpr double kLeft = 58, kRight = 14, kTop = 10, kBottom = 30;
-// Curves with more points than this are noisy, so their running mean is also drawn.
+// Longer curves are noisy, so their running mean is also drawn.
 constexpr std::size_t kManyPoints = 250;
-// Number of intervals into which the x axis is divided to draw a curve. At most two
-// points per interval are drawn.
+// of the x axis; at most two points per interval are drawn
 constexpr std::size_t kBuckets = 500;
 
-/// Value range of an axis and its position on the page.
+/// value range and position on the page
 struct ChartAxis {
     double low = 0.0, high = 1.0;
     double at_low = 0.0, at_high = 1.0;
@@ -50,8 +49,7 @@ struct ValueInterval {
     bool empty() const { return low > high; }
 };
 
-/// Returns true if a point of a curve can be drawn: it is finite and does not overflow
-/// the axis.
+/// finite and inside the range of the axis
 bool is_curve_point_drawable(const ReportCurve& curve, std::size_t point_index) {
     return std::abs(curve.x[point_index]) < 1e100 && std::abs(curve.y[point_index]) < 1e100;
 }
@@ -72,9 +70,8 @@ std::vector<double> make_linear_ticks(const ChartAxis& axis, int n_ticks) {
     return ticks;
 }
 
-/// Returns the ticks of a logarithmic axis, usually the powers of ten. If there are too
-/// many powers, returns only some of them. If there are few, adds ticks at 2 and 5 times
-/// each power.
+/// Usually the powers of ten. Leaves some out if there are many. Adds ticks at 2 and 5
+/// times each power if there are few.
 std::vector<double> make_log_ticks(const ChartAxis& axis) {
     const int first = int(std::floor(std::log10(axis.low))), last = int(std::ceil(std::log10(axis.high)));
     const int every = std::max(1, (last - first) / 6);
@@ -128,17 +125,15 @@ ChartAxis make_x_axis(const ValueInterval& value_extent, double page_low, double
     return axis;
 }
 
-/// Returns the indices of the points to draw: the minimum and the maximum of each
-/// interval of the x axis. Spikes therefore remain visible. Values that are not finite
-/// become gaps.
+/// The minimum and the maximum of each interval of the x axis, so that spikes remain
+/// visible. Values that are not finite become gaps.
 std::vector<std::size_t> select_drawn_point_indices(const ReportCurve& curve) {
     const std::size_t n = curve.y.size(), width = std::max<std::size_t>(1, n / kBuckets);
     std::vector<std::size_t> point_indices;
     for (std::size_t first = 0; first < n; first += width) {
         std::size_t low = first, high = first;
         for (std::size_t i = first; i < std::min(n, first + width); ++i) {
-            // Selects a value that cannot be drawn (such as NaN) instead of the minimum
-            // `low` and maximum `high` of the interval. The curve then has a gap there.
+            // A value that cannot be drawn leaves a gap.
             if (!is_curve_point_drawable(curve, i)) low = high = i;
             else if (is_curve_point_drawable(curve, low) && curve.y[i] < curve.y[low]) low = i;
             else if (is_curve_point_drawable(curve, high) && curve.y[i] > curve.y[high]) high = i;
@@ -149,15 +144,13 @@ std::vector<std::size_t> select_drawn_point_indices(const ReportCurve& curve) {
     return point_indices;
 }
 
-/// Returns the running mean of a curve at a few hundred points. Each value is the mean of
-/// the finite values in a window around the point. The window is 1/40 of the curve wide.
+/// At a few hundred points, over a window of 1/40 of the curve.
 ReportCurve compute_running_mean(const ReportCurve& curve) {
     const std::size_t n = curve.y.size(), half = n / 80, n_samples = std::min(n, kBuckets);
     ReportCurve result{curve.name, {}, {}};
     for (std::size_t sample = 0; sample < n_samples; ++sample) {
         const std::size_t middle = sample * (n - 1) / (n_samples - 1);
-        // Shortens the window on both sides near the ends of the curve. A window that is
-        // not symmetric would give a biased mean.
+        // A window that is not symmetric would give a biased mean at the ends.
         const std::size_t reach = std::min({half, middle, n - 1 - middle});
         double sum = 0.0, count = 0.0;
         for (std::size_t i = middle - reach; i <= middle + reach; ++i)
@@ -166,7 +159,7 @@ ReportCurve compute_running_mean(const ReportCurve& curve) {
                 ++count;
             }
         result.x.push_back(curve.x[middle]);
-        // The mean is NaN if the window has no finite value. NaN is drawn as a gap.
+        // NaN (a gap) if the window has no finite value
         result.y.push_back(sum / count);
     }
     return result;

@@ -1,5 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Converts texts, numbers and images to text for HTML pages.
 #include "html.hpp"
 
 #include <algorithm>

@@ -10,14 +10,13 @@
 
 namespace relidar::report_detail {
 
-/// Escapes text so that it can be written inside an HTML element or a quoted attribute.
+/// For inside an HTML element or a quoted attribute.
 std::string escape_html(std::string_view text);
 
-/// Formats a number with four significant digits, for example 6.458, 0.03402 or 1.2e-07.
-/// Returns a dash for NaN.
+/// Four significant digits, for example 6.458, 0.03402 or 1.2e-07; a dash for NaN.
 std::string format_number(double value);
 
-/// Encodes an image as PNG and returns it as a URL of the form data:image/png;base64,...
+/// data:image/png;base64,...
 std::string make_png_data_url(const Image& image);
 
 }  // namespace relidar::report_detail

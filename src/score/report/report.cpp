@@ -27,8 +27,8 @@ namespace {
 using report_detail::escape_html;
 using report_detail::format_number;
 
-// Maximum ratio of width to height of an image. A wider image, for example 66 x 1030
-// pixels, is stretched vertically so that its rows are visible.
+// A wider image, for example 66 x 1030 pixels, is stretched vertically, so that its rows
+// are visible.
 constexpr double kMaxAspect = 10.0;
 
 std::string make_html_section(const std::string& title, const std::string& body) {
@@ -36,14 +36,13 @@ std::string make_html_section(const std::string& title, const std::string& body)
                         : fmt::format("<section>\n<h2>{}</h2>\n{}</section>\n", escape_html(title), body);
 }
 
-/// Returns a section of the HTML page that is collapsed until the user opens it.
 std::string make_collapsed_html_section(const std::string& title, const std::string& body) {
     return body.empty()
                ? ""
                : fmt::format("<details>\n<summary>{}</summary>\n{}</details>\n", escape_html(title), body);
 }
 
-/// Returns an HTML table that scrolls horizontally on a narrow screen.
+/// scrolls horizontally on a narrow screen
 std::string make_table_html(const std::string& header_cells, const std::string& rows) {
     return fmt::format(
         "<div class=\"scroll\"><table>\n<thead><tr>{}</tr></thead>\n<tbody>\n{}</tbody></table></div>\n",
@@ -71,17 +70,14 @@ std::string make_facts_html(const Report& report) {
     return "<dl>\n" + body + "</dl>\n";
 }
 
-/// Splits a metric's name into its group and the remainder, for example
-/// "peer/depth_rmse_m" into "peer" and "depth_rmse_m". The group is empty if the name has
-/// no '/'.
+/// "peer/depth_rmse_m" gives "peer" and "depth_rmse_m". The group is empty without a '/'.
 std::pair<std::string, std::string> split_metric_name_into_group_and_rest(const std::string& metric_name) {
     const std::size_t slash = metric_name.find('/');
     if (slash == std::string::npos) return {"", metric_name};
     return {metric_name.substr(0, slash), metric_name.substr(slash + 1)};
 }
 
-/// Returns +1 if larger values of a metric are better, -1 if smaller values are better,
-/// and 0 if this is unknown.
+/// +1 if larger values of a metric are better, -1 if smaller values are, 0 if unknown.
 int get_improvement_sign(const std::string& metric) {
     const auto has = [&](std::string_view part) { return metric.find(part) != std::string::npos; };
     for (const char* part : {"rmse", "mae", "medae", "cd_", "lpips"})
@@ -96,9 +92,8 @@ std::optional<double> find_metric_value(const MetricValues& row, const std::stri
     return it == row.end() ? std::nullopt : std::optional(it->second);
 }
 
-/// Returns the best value of a metric among all columns of the report. Returns nothing if
-/// fewer than two columns have the metric, or if it is unknown whether larger values are
-/// better.
+/// Among all columns of the report. Nothing if fewer than two columns have the metric, or
+/// if it is unknown whether larger values are better.
 std::optional<double> find_best_metric_value(const Report& report, const std::string& metric_name) {
     const int direction = get_improvement_sign(metric_name);
     std::optional<double> best;
@@ -123,7 +118,7 @@ std::string make_metric_cells_html(const Report& report, const std::string& metr
 }
 
 std::string make_metrics_table_html(const Report& report) {
-    // Sorts the names, so that the metrics of a group are next to each other.
+    // sorted, so that the metrics of a group are next to each other
     std::set<std::string> names;
     for (const auto& [column, row] : report.metrics)
         for (const auto& [name, value] : row) names.insert(name);
@@ -151,7 +146,6 @@ std::string make_metrics_table_html(const Report& report) {
     return make_table_html(head, rows) + note;
 }
 
-/// Returns a table with the key metrics and their explanations.
 std::string make_key_metrics_table_html(const Report& report) {
     std::string head = "<th>What</th>", rows;
     for (const auto& [column, row] : report.metrics) head += fmt::format("<th>{}</th>", escape_html(column));
@@ -176,7 +170,7 @@ std::string make_chart_html(const std::string& title, const std::vector<const Re
 }
 
 std::string make_curves_html(const Report& report) {
-    // Titles of the charts with the curves of each chart, in the order of the report.
+    // charts with their curves, in the order of the report
     std::vector<std::pair<std::string, std::vector<const ReportCurve*>>> charts;
     bool means = false;
     for (const ReportCurve& curve : report.curves) {
@@ -197,9 +191,7 @@ std::string make_curves_html(const Report& report) {
                   : "");
 }
 
-/// Returns a table row with the time of a kernel, its percentage of `total_ms`, and a
-/// bar. The length of the bar is relative to `longest_ms`. No bar is drawn if
-/// `longest_ms` is 0.
+/// The bar is relative to `longest_ms`. Without a bar if `longest_ms` is 0.
 std::string make_timing_row_html(const std::string& kernel_name, double ms, double total_ms,
                                  double longest_ms) {
     const bool is_valid_time = std::isfinite(ms) && ms >= 0.0;
@@ -212,9 +204,8 @@ std::string make_timing_row_html(const std::string& kernel_name, double ms, doub
                        escape_html(kernel_name), ms, share, bar);
 }
 
-/// Returns a table of kernel times, sorted from the longest to the shortest. The last row
-/// has the total. The total is the entry "total" or, if it is missing, the sum of all
-/// entries.
+/// From the longest to the shortest. The total is the entry "total" or, if it is missing,
+/// the sum of all entries.
 std::string make_timing_table_html(const MetricValues& kernel_times_ms) {
     std::vector<std::pair<std::string, double>> rows;
     double longest = 0.0, sum = 0.0;

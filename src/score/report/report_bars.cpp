@@ -1,5 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Writes the stacked bars of the report as an HTML table.
 #include "report_parts.hpp"
 
 #include <algorithm>

@@ -18,14 +18,13 @@
 
 namespace relidar {
 
-// Returns the names and texts of all JavaScript modules. cmake/Assets.cmake generates the
-// file that defines this function.
+// All JavaScript modules, from a file that cmake/Assets.cmake generates.
 std::span<const std::pair<std::string_view, std::string_view>> report_script_texts();
 
 namespace report_detail {
 namespace {
 
-// Maximum number of points on a page. They take 5.3 MB as base64.
+// on a page: 5.3 MB as base64
 constexpr std::size_t kMaxPoints = 500'000;
 constexpr float kFarthest_m = 300.0f;
 constexpr float kErrorStep_m = 0.004f;
@@ -52,8 +51,7 @@ std::vector<std::uint8_t> pack_point_cloud(const ReportCloud& cloud, std::size_t
     return bytes;
 }
 
-/// Converts a JavaScript module, so that it can be joined with other modules into one
-/// script. Removes imports and the keyword `export`.
+/// Removes imports and the keyword `export`, to join modules into one script.
 std::string remove_imports_and_exports(std::string_view module_source) {
     std::string script;
     while (!module_source.empty()) {

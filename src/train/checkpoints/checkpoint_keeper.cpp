@@ -1,6 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Writes checkpoints during training, after a number of iterations or minutes. Training
-// continues if a checkpoint cannot be written.
 #include "train/checkpoints/checkpoint_keeper.hpp"
 
 #include <new>
@@ -80,9 +78,7 @@ bool CheckpointKeeper::should_save_checkpoint(int step) const {
 
 void CheckpointKeeper::save_training_state(TrainLoop& loop, const TrainResult& result,
                                            double training_time_s) {
-    // Sets the time of the last checkpoint before writing. If writing fails because the
-    // disk is full, the next attempt then happens after one interval, not in the next
-    // step.
+    // Set before writing: if the disk is full, the next attempt is one interval later.
     last_ = Clock::now();
     if (!folder_.is_enabled()) return;
     folder_.save_checkpoint_or_report_failure(

@@ -17,27 +17,20 @@ namespace relidar {
 
 class TrainLoop;
 
-/// Folder with the checkpoints of a training. If a write fails, prints a note and
-/// training continues.
 class CheckpointFolder {
 public:
-    /// Opens the folder. Keeps the two newest checkpoints, because a failure of the
-    /// machine can damage the newest.
-    /// @param folder  path of the folder; if empty, no checkpoint is written
-    /// @param newest_iteration  iteration of the newest checkpoint in the folder, or 0 if
-    /// there is none
-    /// @param iteration_noun  name of an iteration in messages, for example "iteration"
-    /// or "step"
+    /// Keeps the two newest checkpoints, because a failure of the machine can damage the
+    /// newest.
+    /// @param folder  if empty, no checkpoint is written
+    /// @param newest_iteration  of the checkpoints in the folder, or 0 if there is none
+    /// @param iteration_noun  word for messages, for example "iteration" or "step"
     CheckpointFolder(std::filesystem::path folder, int newest_iteration, std::string iteration_noun,
                      const std::function<void(const std::string&)>& report_note);
 
     bool is_enabled() const { return !folder_.empty(); }
     int get_newest_iteration() const { return newest_; }
-    /// Writes a checkpoint. If the disk or the memory is full, prints a note and training
-    /// continues.
-    /// @param add_state  adds the state to the checkpoint
-    /// @throws DataError if the state contains NaN or infinity, because training could
-    /// not continue from it
+    /// If the disk or the memory is full, prints a note and training continues.
+    /// @throws DataError if the state contains NaN or infinity
     void save_checkpoint_or_report_failure(Checkpoint checkpoint,
                                            const std::function<void(Checkpoint&)>& add_state);
 
@@ -53,14 +46,10 @@ public:
     CheckpointKeeper(const LidarSequence& sequence, const TrainTestSplit& split, const Config& config,
                      const TrainSession& session);
 
-    /// Returns true if a checkpoint must be written after this iteration. Checkpoints are
-    /// written after a fixed number of iterations or minutes. The last iteration also
-    /// gets a checkpoint if the folder already has one.
+    /// After a number of iterations or minutes. The last iteration also gets a checkpoint
+    /// if the folder already has one.
     bool should_save_checkpoint(int step) const;
-    /// Writes the state after result.iterations to a checkpoint. If the disk is full,
-    /// prints a note and training continues.
-    /// @throws DataError if the state contains NaN or infinity, because training could
-    /// not continue from it
+    /// Writes the state after result.iterations (save_checkpoint_or_report_failure()).
     void save_training_state(TrainLoop& loop, const TrainResult& result, double training_time_s);
 
 private:

@@ -1,5 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Computes hashes of logs and scenes, and compares them with the hashes in a checkpoint.
 #include "train/checkpoints/fingerprint.hpp"
 
 #include <cstring>
@@ -22,7 +21,6 @@ constexpr const char* kSetting = "setting/";
 constexpr const char* kTrainAgain =
     "the checkpoint was probably written by another version of relidar and cannot be resumed; train again";
 
-/// Computes a hash of all added values. The order of the values matters.
 class RunningHash {
 public:
     template <class T, class Allocator>

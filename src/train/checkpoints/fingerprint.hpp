@@ -22,15 +22,12 @@ struct ResumeFingerprint {
     std::string key, what, value;
 };
 
-/// Returns hashes of a log and of the scans of its training frames. Callers report only
-/// the first hash that differs, so the hash that explains a difference best comes first.
+/// The hash that explains a difference best comes first, because only one is reported.
 std::vector<ResumeFingerprint> compute_log_fingerprints(const LidarSequence& sequence,
                                                         const TrainTestSplit& split);
-/// Returns a hash of all surfels of a scene, including its blocks.
 /// @throws DataError if the file of a block is invalid
 ResumeFingerprint compute_scene_fingerprint(const Scene& scene);
 
-/// Adds a setting, or the hash of a fingerprint, to the texts that a checkpoint stores.
 void add_setting_to_checkpoint_texts(const ConfigKey& setting,
                                      std::map<std::string, std::string>& checkpoint_texts);
 void add_fingerprint_to_checkpoint_texts(const ResumeFingerprint& fingerprint,
@@ -43,7 +40,6 @@ void require_same_as_in_checkpoint(const std::vector<ConfigKey>& settings, const
                                    const std::string& error_prefix);
 void require_same_as_in_checkpoint(const Checkpoint& checkpoint, const ResumeFingerprint& fingerprint,
                                    const std::string& error_prefix);
-/// Returns the settings in a checkpoint, by key.
 /// @throws DataError for an unknown key
 std::map<std::string, std::string> read_checkpoint_settings(const Checkpoint& checkpoint);
 

@@ -1,6 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Compares settings with a checkpoint when training is resumed. Saves and restores the
-// training log and the elapsed times.
 #include "train/checkpoints/resume.hpp"
 
 #include <algorithm>
@@ -20,9 +18,8 @@ namespace {
 
 // Prefixes of settings that are used only after training.
 constexpr std::array kFollows{"refine.", "render."};
-/// Settings that may change when training is resumed, because they do not change the
-/// result of an iteration. Paths may also change, because the contents of the log are
-/// compared.
+/// Settings that do not change the result of an iteration. The contents of the log are
+/// compared instead of paths.
 constexpr std::array kFree{"dataset.path",
                            "dataset.sequence",
                            "dataset.poses",

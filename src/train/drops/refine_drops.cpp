@@ -26,23 +26,21 @@ bool should_train_on_range_image_grid(const Config& config) {
     return config.refine.image == "grid" && config.sensor.grid != "native";
 }
 
-/// Returns the rays along which a frame is rendered to train the ray-drop network. These
-/// are the rays of the frame's LiDAR. If the network corrects range images (setting
-/// refine.image is "grid"), returns one ray for each cell of the range image instead.
+/// If the network corrects range images (refine.image is "grid"), the rays of the cells,
+/// otherwise those of the LiDAR.
 SimulatedSensor choose_sensor_for_ray_drop_training(const Config& config, const LidarSequence& sequence,
                                                     const LidarFrame& frame) {
     if (!should_train_on_range_image_grid(config))
         return choose_nominal_sensor_of_frame(config, sequence, frame);
     SimulatedSensor sensor = make_sensor_from_config(config, sequence, frame.lidar);
-    // uses the rolling shutter of the log, because the network learns from the scans of
-    // the log
+    // the network learns from the scans of the log
     sensor.rolling_shutter = sequence.rolling_shutter;
     return sensor;
 }
 
-/// Rotates the rays towards the next column by a fraction of the column spacing. The
-/// scene was trained with the original rays, so it fits them unusually well. Images along
-/// the rotated rays are as accurate as images of frames that were not used for training.
+/// Rotates the rays towards the next column. The scene was trained with the original
+/// rays, so it fits them unusually well. Rotated rays are as accurate as those of
+/// held-out frames.
 RayTable rotate_rays_by_column_fraction(RayTable rays, float column_fraction) {
     const RayTable original = rays;
     // Without a full turn, the last column has no next column and is not rotated.
@@ -74,9 +72,8 @@ std::vector<float> convert_ray_drops_to_grid(const Config& config, const LidarFr
     return cells;
 }
 
-/// Returns the training frames that the ray-drop network can read as images. These are
-/// all frames if refine.image is "grid". Otherwise the rays must be ordered in rows and
-/// columns, and only frames with the most common image size are returned.
+/// Training frames that the network can read as images: all frames if refine.image is
+/// "grid", otherwise those with the most common image size.
 std::vector<int> select_frames_with_range_image(const Config& config, const LidarSequence& sequence,
                                                 const std::vector<int>& train_frame_indices) {
     if (should_train_on_range_image_grid(config)) return train_frame_indices;
@@ -91,8 +88,8 @@ std::vector<int> select_frames_with_range_image(const Config& config, const Lida
     return most == by_shape.end() ? std::vector<int>{} : most->second;
 }
 
-/// Renders training frames. Returns the inputs of the ray-drop network together with the
-/// measured drops. Returns nothing if the user stopped the program.
+/// Inputs of the network and measured drops of training frames. Empty if the user
+/// stopped.
 std::vector<RayDropImage> render_drop_network_training_images(Device& device, const TrainedRun& run,
                                                               const Config& config,
                                                               const RayDropTrainingSession& session) {

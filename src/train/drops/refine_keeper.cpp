@@ -1,7 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Writes checkpoints while a ray-drop network is trained. When training is resumed,
-// checks that its inputs have not changed: the scene and the log by hash, and the
-// settings by value.
 #include "train/drops/refine_keeper.hpp"
 
 #include <algorithm>
@@ -14,7 +11,6 @@
 namespace relidar {
 namespace {
 
-/// Returns true if a setting changes the rendered images or the network.
 bool can_setting_affect_ray_drop_network(const std::string& setting_key) {
     constexpr std::array kGroups{"refine.", "image.", "sensor.", "init.", "render.range", "train.seed"};
     return setting_key != "refine.enabled" &&
@@ -50,9 +46,7 @@ void RayDropCheckpointKeeper::save_checkpoint_if_due(const RayDropTrainProgress&
     const std::chrono::duration<double> since_last = Clock::now() - last_;
     const bool by_time = minutes_ > 0.0 && since_last.count() >= 60.0 * minutes_;
     if (!folder_.is_enabled() || !(ends_epoch || by_time || is_stopping)) return;
-    // Sets the time of the last checkpoint before writing. If writing fails because the
-    // disk is full, the next attempt does not happen before the time of the next
-    // checkpoint.
+    // Set before writing: if the disk is full, the next attempt is one interval later.
     last_ = Clock::now();
     folder_.save_checkpoint_or_report_failure({progress.step, texts_.get(), {}}, [&](Checkpoint& checkpoint) {
         get_state().visit_checkpoint_state(CheckpointWriter(checkpoint));

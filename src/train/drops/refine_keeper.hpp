@@ -21,8 +21,6 @@ class RayDropCheckpointKeeper {
 public:
     RayDropCheckpointKeeper(const TrainedRun& run, const RayDropTrainingSession& session);
 
-    /// Writes a checkpoint at the end of an epoch, after some minutes, and when training
-    /// stops.
     /// @throws DataError if the state is not finite
     void save_checkpoint_if_due(const RayDropTrainProgress& progress, bool is_stopping,
                                 const std::function<RayDropTrainState()>& get_state);
@@ -37,7 +35,6 @@ private:
     Clock::time_point last_ = Clock::now();
 };
 
-/// Returns the state of the network training that a checkpoint stores.
 /// @throws DataError if the checkpoint is not from the training of a network
 RayDropTrainState read_network_training_state(const Checkpoint& checkpoint);
 

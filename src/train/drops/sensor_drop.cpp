@@ -1,5 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Counts dropped rays by beam and azimuth.
 #include "train/drops/sensor_drop.hpp"
 
 #include <algorithm>
@@ -12,11 +11,9 @@ namespace relidar {
 namespace {
 
 constexpr int kColumnsPerBin = 3;
-// Number of neighbouring bins on each side over which the expected drop rate of an
-// azimuth bin is averaged.
+// bins on each side over which the local drop rate is averaged
 constexpr int kNeighbours = 2;
-// Minimum number of rays from which a drop rate is computed. With fewer rays, a hole in
-// the scene would look like a blind spot of the sensor.
+// With fewer rays, a hole in the scene would look like a blind spot of the sensor.
 constexpr std::uint32_t kCertainRays = 60;
 // Number of virtual rays that stabilise a drop rate if a bin has few real rays:
 //   rate of a bin = (drops + kPriorRays * local rate) / (rays + kPriorRays)
@@ -32,9 +29,8 @@ int choose_azimuth_bin_count(const LidarSequence& sequence) {
     return std::max(1, columns / kColumnsPerBin);
 }
 
-/// Calls visit_sector(first, n) for each sector, which is a run of n neighbouring bins
-/// that fulfil a condition. Ignores sectors that are narrower than the minimum. Does
-/// nothing if all bins fulfil the condition.
+/// Calls visit_sector(first, n) for each run of n neighbouring bins that fulfil a
+/// condition. Ignores narrow sectors. Does nothing if all bins fulfil the condition.
 template <class Condition, class Visit>
 void for_each_wide_azimuth_sector(int n_bins, const Condition& is_bin_in_sector, const Visit& visit_sector) {
     int begin = 0;
@@ -146,7 +142,7 @@ void mark_unobserved_sectors_as_dropped(RayDropTable& drop_table, const RayDropT
         const auto is_blind_at = [&](std::size_t row, int bin) {
             return observed_drop_rates.probability[row + std::size_t((bin + bins) % bins)] >= kBlindFrequency;
         };
-        // difference between the largest and the smallest azimuth offset, in bins
+        // in bins
         const auto [least, most] = std::ranges::minmax(sensor.beams, {}, &Beam::azimuth_offset_rad);
         const int spread =
             int(std::ceil((most.azimuth_offset_rad - least.azimuth_offset_rad) / (2.0 * kPi) * bins));
@@ -157,9 +153,8 @@ void mark_unobserved_sectors_as_dropped(RayDropTable& drop_table, const RayDropT
             },
             [&](int first, int count) {
                 for (const std::size_t row : rows) {
-                    // All beams are blind in these `count` bins. Because the beams have
-                    // different azimuth offsets, one beam can be blind in a few more bins
-                    // on each side. Extends the range begin..end by these bins.
+                    // All beams are blind in these `count` bins. One beam can be blind in
+                    // a few more bins on each side, because the azimuth offsets differ.
                     int begin = first, end = first + count;
                     while (first - begin < spread && is_blind_at(row, begin - 1)) --begin;
                     while (end - first - count < spread && is_blind_at(row, end)) ++end;

@@ -19,8 +19,7 @@ public:
     /// Creates the bins for the LiDARs of a log. Each beam has a row of azimuth bins, and
     /// each bin covers about three columns. The log must outlive this object.
     explicit RayDropCounts(const LidarSequence& sequence);
-    /// Counts one ray of a frame of the log. Several threads may call this function
-    /// simultaneously.
+    /// Several threads may call this simultaneously.
     void add_ray_to_drop_counts(const LidarFrame& frame, std::size_t ray_index);
     /// Returns the drop rate of each bin, for rays that are dropped persistently. Uses
     /// intervals of neighbouring bins with at least 60 rays, for example 20 sweeps in one
@@ -29,9 +28,9 @@ public:
     /// than 60 rays in total, its drop rate is 0. The drop rate is 1 in a sector of at
     /// least 10 degrees in which the beam never fires.
     RayDropTable estimate_persistent_drop_rates() const;
-    /// Returns the drop rate of each bin, (drops + 8 * local rate) / (rays + 8). The 8
-    /// virtual rays give a stable rate even if a short log has few rays per bin. The
-    /// local rate is (sum of drops) / (8 + sum of rays) over the bin and its neighbours.
+    /// Drop rate of each bin: (drops + 8 * local rate) / (rays + 8). The virtual rays
+    /// give a stable rate in a short log. The local rate is (sum of drops) / (8 + sum of
+    /// rays) over the bin and its neighbours.
     RayDropTable estimate_smoothed_drop_rates() const;
     std::size_t get_bin_count() const { return rays_.size(); }
 
@@ -40,21 +39,17 @@ private:
     RayDropTable index_;  ///< contains no probabilities; used only for the layout of the bins
     std::vector<std::uint32_t> rays_, drops_;
 
-    /// Returns the array index of a bin. Bins before the first and after the last wrap
-    /// around the circle.
+    /// Bins before the first and after the last wrap around the circle.
     std::size_t get_bin_index(int channel, int bin) const {
         return std::size_t(channel) * std::size_t(index_.bins) +
                std::size_t((bin + index_.bins) % index_.bins);
     }
-    /// Sets the drop rate of a beam to 1 in sectors in which it never fires.
     void mark_unfired_sectors_as_dropped(RayDropTable& drop_table, int channel) const;
-    /// Returns the drop rate of a bin and its neighbours together. Adds a fixed number of
-    /// returned rays, so that the rate is low if the bins have few rays.
+    /// Of a bin and its neighbours, with virtual returned rays.
     double estimate_local_drop_rate(int channel, int bin) const;
 };
 
-/// Returns the share of dropped rays for each beam and azimuth in the given frames. Uses
-/// RayDropCounts::estimate_persistent_drop_rates().
+/// RayDropCounts::estimate_persistent_drop_rates() of the given frames.
 RayDropTable estimate_observed_drop_rates(const LidarSequence& sequence,
                                           const std::vector<int>& frame_indices);
 

@@ -16,8 +16,7 @@ namespace relidar {
 /// have about 32,768 pixels in total. If n is below 2, the full image is used.
 inline int choose_image_stripe_interval(const RayTable& rays) { return int(rays.size()) / 32768; }
 
-/// Some vertical stripes of an image. The image covers a full turn, so its last column is
-/// next to its first.
+/// The image covers a full turn, so its last column is next to its first.
 class ImageStripes {
 public:
     static constexpr int kColumns = 64;  ///< columns in a stripe
@@ -35,8 +34,6 @@ public:
             first_.push_back((frame_number + std::size_t(k * stripe_interval)) * kColumns % columns_);
     }
 
-    /// Returns the rays in the selected vertical stripes, as an image with fewer columns.
-    /// @param image_rays  rays of the full image
     RayTable select_stripe_rays(const RayTable& image_rays) const {
         if (first_.empty()) return image_rays;
         RayTable some = select_rays(image_rays, list_stripe_pixel_indices());
@@ -44,8 +41,6 @@ public:
         some.columns = int(first_.size()) * kColumns;
         return some;
     }
-    /// Returns the values of the pixels in the selected vertical stripes.
-    /// @param image_values [rows,columns] values of the full image
     std::vector<float> select_stripe_values(const std::vector<float>& image_values) const {
         if (first_.empty()) return image_values;
         std::vector<float> some;

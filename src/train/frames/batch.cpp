@@ -1,5 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Runs the kernel train/gather_columns, which copies the rays of a batch from a frame.
 #include "train/frames/batch.hpp"
 
 #include <algorithm>
@@ -22,7 +21,7 @@ struct BatchSampler::Impl {
 
 namespace {
 
-/// n columns of an image, with a fixed distance (stride) between the selected columns.
+/// n columns with a fixed distance (stride).
 struct StridedColumns {
     std::uint32_t stride = 1;
     std::uint32_t n = 0;  ///< number of columns; 0 if the batch does not consist of columns
@@ -33,8 +32,7 @@ std::uint32_t choose_ray_stride(const TrainingFrameData& frame, const TrainConfi
     return n_rays == 0 ? 1u : std::max(1u, frame.n_rays / n_rays);
 }
 
-/// Returns the number of rows and columns of a full frame. If the rays are not ordered as
-/// an image, the frame has a single row.
+/// If the rays are not ordered as an image, the frame has a single row.
 ImageShape get_frame_image_shape(const TrainingFrameData& frame) {
     return frame.image.has_image_rows_and_columns() ? frame.image : ImageShape{1, frame.n_rays, false};
 }
@@ -49,16 +47,14 @@ StridedColumns choose_columns_of_training_batch(const TrainingFrameData& frame, 
                        1u, image.columns);
         return n < image.columns ? StridedColumns{1, n} : StridedColumns{};
     }
-    // Selects every n-th group of neighbouring columns. The rays of a group have similar
-    // directions, so they are traced faster.
+    // Rays of neighbouring columns have similar directions, so they are traced faster.
     const std::uint32_t stride = std::min(choose_ray_stride(frame, config), frame.image.columns);
     return frame.image.has_image_rows_and_columns() && stride > 1
                ? StridedColumns{stride, frame.image.columns / stride}
                : StridedColumns{};
 }
 
-/// Returns the number of rays in the largest batch that consists of selected columns of a
-/// frame. The rays of such a batch are copied to separate arrays.
+/// Of the largest batch whose rays are copied to separate arrays.
 std::size_t compute_max_rays_in_column_batch(const std::vector<TrainingFrameData>& frames,
                                              const Config& config) {
     std::size_t largest = 0;

@@ -25,14 +25,11 @@ struct ColumnWindow {
     std::uint32_t n_columns = 0;
 };
 
-/// Rays of one training iteration and their measurements.
 struct SampledBatch {
     RayBatch rays;
     TargetBatch targets;
     ColumnWindow window{};
 
-    /// Converts the index of a ray in the batch to the index of the same ray in its
-    /// frame.
     std::size_t convert_batch_to_frame_ray_index(std::uint32_t batch_ray_index) const;
 };
 
@@ -61,10 +58,9 @@ public:
     /// @param batch_index  index below count_batches_covering_frame()
     SampledBatch gather_nth_batch(Stream& stream, const TrainingFrameData& frame, std::uint32_t first_column,
                                   std::uint32_t batch_index);
-    /// Draws a random column (or ray) at which the first batch starts.
     std::uint32_t sample_random_first_column(const TrainingFrameData& frame, Random& random) const;
-    /// Returns the number of batches that together contain all rays of the frame. Returns
-    /// 1 if a batch is a window of neighbouring columns, which does not contain all rays.
+    /// Number of batches that together contain all rays, or 1 for windows of neighbouring
+    /// columns.
     std::uint32_t count_batches_covering_frame(const TrainingFrameData& frame) const;
 
 private:

@@ -1,6 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Computes the training rays and their target values (range, intensity, weight) from
-// scans.
 #include "train/frames/frame_data.hpp"
 
 #include <algorithm>
@@ -15,13 +13,11 @@ namespace relidar {
 
 namespace {
 
-/// A moving box without a model, enlarged by a margin. Training ignores the returns
-/// inside this box.
+/// Training ignores the returns in this box.
 struct MovingBoxMask {
     InstancePose placed;
     glm::dvec3 half_size_m;
-    /// Radius of a sphere around the box centre. The sphere contains the box during the
-    /// full sweep.
+    /// Radius of a sphere that contains the box during the full sweep.
     double reach_m;
 };
 
@@ -41,10 +37,8 @@ std::vector<MovingBoxMask> list_masked_boxes_in_sweep(const LidarSequence& seque
     return result;
 }
 
-/// Returns true if training must ignore a ray. This is a ray that hit a moving box, or a
-/// ray without a return that may have hit such a box.
-/// @param time_offset_s  firing time of the ray, relative to the reference time of the
-/// sweep
+/// True for a ray that hit a moving box, or that has no return and may have hit one.
+/// @param time_offset_s  firing time relative to the reference time of the sweep
 bool is_ray_masked(const std::vector<MovingBoxMask>& masked_boxes, const WorldRay& ray, double time_offset_s,
                    double range_m) {
     return std::any_of(masked_boxes.begin(), masked_boxes.end(), [&](const MovingBoxMask& box) {

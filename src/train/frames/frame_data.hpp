@@ -30,7 +30,6 @@ struct FrameArrays {
     Array<shared::PoseInterpolation> track_positions;
 };
 
-/// A training frame.
 struct TrainingFrameData {
     int position = 0;  ///< index into LidarSequence::frames
     int index = 0;     ///< frame number of the dataset
@@ -58,10 +57,9 @@ struct TrainingFrameData {
     RayBatch make_strided_batch(std::uint32_t first_ray, std::uint32_t stride) const;
 };
 
-/// Returns the number of rays of the largest frame, or 0 if there are no frames.
+/// 0 if there are no frames
 std::uint32_t find_max_rays_per_frame(std::span<const TrainingFrameData> frames);
 
-/// Selects the measurements that training must ignore.
 struct IgnoredMeasurements {
     /// settings that decide which moving boxes become actors, are ignored, or belong to
     /// the background

@@ -1,5 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Converts a sweep to an image: assigns its returns to the cells of a range grid.
 #include "train/frames/grid_frame.hpp"
 
 namespace relidar {

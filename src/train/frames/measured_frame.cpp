@@ -1,5 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Selects the rays of training frames, and reports which rays were dropped.
 #include "train/frames/measured_frame.hpp"
 
 #include <cstddef>

@@ -14,13 +14,11 @@
 
 namespace relidar {
 
-/// Returns the nominal rays of a frame's LiDAR. If the scan has other rows and columns,
-/// returns the rays of the scan instead.
+/// If the scan has other rows and columns than the LiDAR, the rays of the scan.
 SimulatedSensor choose_nominal_sensor_of_frame(const Config& config, const LidarSequence& sequence,
                                                const LidarFrame& frame);
 
-/// Selects the measurements that are ignored. They belong to moving objects without a
-/// model in the scene.
+/// Of moving objects without a model in the scene.
 IgnoredMeasurements make_mask_for_movers_without_model(const Config& config, const Scene& scene);
 
 /// Returns for each ray of a frame whether it was dropped: 0 returned, 1 dropped. Returns
@@ -28,8 +26,7 @@ IgnoredMeasurements make_mask_for_movers_without_model(const Config& config, con
 std::vector<float> classify_measured_drops_per_ray(const LidarSequence& sequence, const LidarFrame& frame,
                                                    const IgnoredMeasurements& mask_rules);
 
-/// Returns at most `max_count` of the frame positions, evenly spaced. Returns all
-/// positions if `max_count` is 0.
+/// All positions if `max_count` is 0.
 std::vector<int> select_evenly_spaced_frames(const std::vector<int>& frame_indices, int max_count);
 
 }  // namespace relidar

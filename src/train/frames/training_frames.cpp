@@ -20,16 +20,14 @@
 namespace relidar {
 namespace {
 
-// Number of frames that are prepared in parallel in host memory before their upload.
+// frames prepared in parallel in host memory
 constexpr std::size_t kPreparedAtOnce = 32;
 
 double compute_absolute_firing_time(const LidarSequence& sequence, const LidarFrame& frame, float offset_s) {
     return frame.time_s + (sequence.rolling_shutter ? double(offset_s) : 0.0);
 }
 
-/// A training frame. If training uses a grid, `binned` is a copy of the log frame with
-/// one ray for each cell, and `frame` refers to this copy. Otherwise `frame` refers to
-/// the log frame.
+/// `frame` refers to `binned` if training uses a grid, otherwise to the frame of the log.
 struct GriddedFrame {
     std::optional<LidarFrame> binned;
     const LidarFrame& frame;

@@ -16,7 +16,6 @@
 
 namespace relidar {
 
-/// Options for uploading training frames.
 struct FrameUploadOptions {
     IgnoredMeasurements unknown;
     bool moves_rays =
@@ -29,10 +28,9 @@ struct FrameUploadOptions {
 
 class TrainingFrames {
 public:
-    /// Creates all frames, and uploads as many as fit into the memory budget.
+    /// Uploads as many frames as fit into the memory budget.
     /// @param sequence  must outlive this object, because its scans are read for each
     /// upload
-    /// @param frame_indices  indices of the frames in LidarSequence::frames
     /// @throws DataError if a frame has no ray
     TrainingFrames(Device& device, const LidarSequence& sequence, const std::vector<int>& frame_indices,
                    FrameUploadOptions use);
@@ -40,19 +38,16 @@ public:
 
     const std::vector<TrainingFrameData>& get_all_frames() const { return frames_; }
     TrainingFrameData& operator[](std::size_t index) { return frames_[index]; }
-    /// Returns the rule that selects the measurements that training ignores.
     const IgnoredMeasurements& get_mask_rules() const { return use_.unknown; }
     std::size_t count_resident_frames() const { return n_staying_; }
 
-    /// Uploads frame `frame_index` if it is not in device memory. The arrays of an
-    /// uploaded frame are valid until the next upload.
+    /// The arrays of an uploaded frame are valid until the next upload.
     TrainingFrameData& upload_frame_if_not_resident(Stream& stream, std::size_t frame_index);
-    /// Announces the frame that is used next. If it must be uploaded, a background thread
-    /// starts to compute its rays.
+    /// Announces the next frame. A thread starts to compute its rays if it must be
+    /// uploaded.
     void prefetch_frame(std::size_t frame_index);
 
 private:
-    /// Arrays of a frame in host memory, before the upload.
     struct HostFrameArrays {
         std::vector<DeviceRay> rays;
         std::vector<DeviceTarget> targets;

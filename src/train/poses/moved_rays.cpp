@@ -1,6 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Runs two kernels: train/move_rays moves rays to corrected poses, and
-// train/knot_gradients computes the gradients of these poses.
 #include "train/poses/moved_rays.hpp"
 
 #include <algorithm>

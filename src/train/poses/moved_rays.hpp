@@ -42,13 +42,11 @@ public:
     /// computed: [kRows, maximum number of poses in a frame, 6]. `kRows` workgroups share
     /// the work for each pose, and each workgroup computes one row.
     const Array<float>& get_partial_gradient_sums() const { return rows_; }
-    /// Adds up the partial sums. Returns one gradient for each pose of a frame.
     std::vector<PoseGradient> sum_pose_gradients(std::span<const float> partial_sums,
                                                  const TrainingFrameData& frame) const;
 
 private:
-    /// Number of workgroups that compute the gradient sum of a pose together, so that the
-    /// GPU has enough parallel work.
+    /// workgroups per pose, so that the GPU has enough parallel work
     static constexpr std::uint32_t kRows = 16;
 
     std::uint32_t most_knots_;

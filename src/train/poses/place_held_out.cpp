@@ -17,11 +17,9 @@
 namespace relidar {
 namespace {
 
-// Minimum blending weight of a rendered ray that hits a solid surface.
 constexpr float kFewestWeight = 0.5f;
 
-/// Renders the trained background, to which scans are aligned. Excludes actors, because
-/// their poses are only estimates.
+/// Excludes actors, because their poses are only estimates.
 class TrainedBackgroundRenderer {
 public:
     TrainedBackgroundRenderer(Device& device, const TrainedRun& run)

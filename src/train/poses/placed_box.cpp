@@ -1,5 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Computes the intersection of a ray with a box by the slab method.
 #include "train/poses/placed_box.hpp"
 
 #include <algorithm>

@@ -1,5 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Represents a box at one point in time, and intersects rays with this box.
 #pragma once
 
 #include <glm/glm.hpp>
@@ -13,10 +12,9 @@ struct PosedBox {
     Pose box_from_world;
     glm::dvec3 half_size_m;
 
-    /// Returns the distances along a ray at which it enters and leaves the box. Both are
-    /// at least 0.
+    /// Distances at which a ray enters and leaves the box, at least 0, by the slab
+    /// method. Entry > exit if the ray misses it.
     /// @param margin_m  enlarges the box on every side
-    /// @return entry and exit; entry > exit if the ray misses the box
     glm::dvec2 compute_ray_entry_exit_m(const WorldRay& ray, double margin_m = 0.0) const;
 };
 

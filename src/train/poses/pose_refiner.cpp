@@ -1,6 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Corrects the poses of the sensor and of actors. Converts the gradients of rays and
-// instances to optimisation steps of the recorded poses.
 #include "train/poses/pose_refiner.hpp"
 
 #include <algorithm>
@@ -18,7 +16,7 @@
 namespace relidar {
 namespace {
 
-// learning rates at the end of training, relative to the rates at the start
+// relative to the start of training
 constexpr double kFinalShare = 0.1;
 /// Learning rates are multiples of train.pose_rate_m, the learning rate of the sensor
 /// position in metres. The rotation rate in radians is a tenth of this rate, because most
@@ -39,8 +37,7 @@ LidarSequence copy_log_without_scans(const LidarSequence& sequence) {
     return result;
 }
 
-/// Allocates host buffers for an array that every iteration copies. Pending iterations
-/// need separate buffers.
+/// Pending iterations need separate buffers.
 void allocate_readback_buffers(std::vector<ReadbackBuffer>& readbacks, Device& device, std::size_t n_floats,
                                const char* description) {
     while (readbacks.size() < kReadbackLag)
@@ -161,8 +158,7 @@ void PoseRefiner::apply_oldest_pose_update(Stream& stream) {
         std::copy_n(gradient.begin() + std::ptrdiff_t(floats_of_rays_ + 6 * actors_[k].instance), 6,
                     twist.begin());
         // The pose of the actor is the mean of its poses at the first and the last time
-        // at which a sweep observes it. Each of these two poses gets half of the
-        // gradient.
+        // in the sweep, so each gets half of the gradient.
         for (double& g : twist) g *= 0.5;
         // The actor may be absent from the frame. Its gradient is then zero, and
         // add_pose_gradient() ignores zero gradients.

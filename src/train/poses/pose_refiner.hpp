@@ -31,31 +31,24 @@ struct GradientSelection;
 
 class PoseRefiner {
 public:
-    /// Creates the pose corrections.
-    /// @param layout  layout of the scene; the tracks of its instances are corrected
-    /// @param config  train.refine_poses selects which poses are corrected; with "none",
-    /// all functions of this class do nothing
+    /// @param layout  the tracks of its instances are corrected
+    /// @param config  with train.refine_poses=none, all functions do nothing
     PoseRefiner(Device& device, const LidarSequence& sequence, const Scene& layout, const TrainConfig& config,
                 const TrainingFrames& frames);
     ~PoseRefiner();
 
     bool is_pose_refinement_enabled() const { return is_active_; }
-    /// Returns the gradients that record_pose_gradients() needs. The backward pass must
-    /// compute them.
+    /// The backward pass must compute these for record_pose_gradients().
     GradientSelection get_required_gradients() const;
-    /// Moves a frame to the corrected poses: its rays, actors and sensor position. The
-    /// frame must be on the device.
+    /// Moves its rays, actors and sensor position. The frame must be on the device.
     void move_frame_to_corrected_poses(Stream& stream, TrainingFrameData& frame);
-    /// Records GPU commands that compute the pose gradients of a batch and copy these
-    /// gradients to the host. A later apply_pose_updates_until() uses the gradients.
+    /// Records the pose gradients of a batch and their copy to the host.
     /// @param step  counts from 1
     void record_pose_gradients(Stream& stream, std::size_t frame_index, const TrainingFrameData& frame,
                                const SampledBatch& batch, const DeviceGradients& gradients, int step);
-    /// Updates the poses with the gradients of all pending iterations up to `last_step`,
-    /// in order. Waits for these gradients if necessary.
+    /// Applies the gradients of pending iterations in order. Waits for them if necessary.
     void apply_pose_updates_until(Stream& stream, int last_step);
-    /// Waits for the pending gradients so that a checkpoint can store them. Does not
-    /// update the poses.
+    /// So that a checkpoint can store them. Does not update the poses.
     void wait_for_pending_gradients(Stream& stream);
     RefinedPoses get_refined_poses() const;
 
@@ -70,7 +63,7 @@ public:
         visit("poses/coming/actor_time_s", pending_iterations_.actor_time_s);
         visit("poses/coming/gradient", pending_iterations_.gradient);
     }
-    /// Recomputes the corrected poses after the state was read from a checkpoint.
+    /// Called after the state was read from a checkpoint.
     /// @throws DataError if the state does not fit the log
     void update_poses_after_restore();
 
@@ -108,8 +101,7 @@ private:
     /// kReadbackLag. Empty if the poses of sensor or actors are not corrected.
     std::vector<ReadbackBuffer> of_rays_, of_instances_;
 
-    /// Returns the gradients of the i-th pending iteration. Waits until the gradients are
-    /// on the host.
+    /// Waits until the gradients are on the host.
     std::span<float> wait_for_gradient_of_pending_iteration(Stream& stream, std::size_t pending_index);
     void apply_oldest_pose_update(Stream& stream);
     void update_corrected_poses();

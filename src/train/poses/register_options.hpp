@@ -1,5 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Converts settings to options of the scan registration. Private to train.
 #pragma once
 
 #include <relidar/log/registration.hpp>
@@ -11,8 +10,7 @@ inline bool should_register_sensor_poses(const TrainConfig& config) {
     return config.pose_register && config.is_pose_refinement_enabled_for("sensor");
 }
 
-/// Returns the registration options that follow from the settings. The caller must set
-/// RegistrationOptions::stop, progress and group.
+/// The caller must set RegistrationOptions::stop, progress and group.
 RegistrationOptions make_registration_options(const LidarSequence& sequence, const Config& config);
 
 }  // namespace relidar

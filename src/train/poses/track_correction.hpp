@@ -13,7 +13,6 @@
 
 namespace relidar {
 
-/// Learning rates and prior weights of one optimisation step.
 struct PoseStepRates {
     double rate_m = 0.0;
     double rate_rad = 0.0;
@@ -31,12 +30,10 @@ public:
     Twist get_or_interpolate_correction(std::size_t pose_index) const;
     PoseTrack make_corrected_track() const;
 
-    /// Adds a loss gradient dL/d(v, w), for the pose at a given time or for one of the
-    /// recorded poses. The next run_adam_step() uses the sum of these gradients.
+    /// dL/d(v, w) at any time. The next run_adam_step() uses the sum.
     void add_pose_gradient(double t_s, const Twist& gradient);
     void add_pose_gradient(std::size_t pose_index, double weight, const Twist& gradient);
-    /// Performs one Adam step on the loss and the prior. Changes only poses that got a
-    /// gradient after the last step.
+    /// Changes only poses that got a gradient after the last step.
     void run_adam_step(const PoseStepRates& step_rates);
     /// Removes the rigid motion that all corrections have in common, so that the scene
     /// does not drift. The loss does not constrain this motion, because moving the scene
@@ -44,9 +41,6 @@ public:
     /// translation and rotation are 0.
     void remove_mean_rigid_correction();
 
-    /// Passes all variables of the optimizer to a visitor, which reads or writes a
-    /// checkpoint.
-    /// @param name  name of the track
     template <class Visitor>
     void visit_checkpoint_state(const std::string& name, Visitor&& visit) {
         visit(name + "/correction", values_);
@@ -54,8 +48,6 @@ public:
         visit(name + "/moment2", moment2_);
         visit(name + "/steps", n_steps_);
     }
-    /// Returns true if the arrays that visit_checkpoint_state() read from a checkpoint
-    /// fit this track.
     bool is_restored_correction_valid() const;
 
 private:

@@ -14,11 +14,10 @@ constexpr double kWidest = 400.0;  // Maximum width of a view in pixels.
 constexpr double kAround_m = 0.3;  // Width of the margin around the asset's box.
 constexpr int kGap = 8;            // Gap between views in pixels.
 constexpr std::uint8_t kBackdrop = 24;
-// A pixel shows a surface if its rendered weight (opacity) is at least this value.
+// of a pixel that shows a surface
 constexpr float kLeastWeight = 0.5f;
 
-/// Axes of one camera view in the frame of the object's box: viewing direction, right and
-/// up.
+/// viewing direction, right and up in the frame of the object's box
 struct CameraAxes {
     glm::dvec3 along, right, up;
 };
@@ -33,8 +32,7 @@ double compute_box_extent_with_margin_m(const glm::dvec3& view_axis, const glm::
     return glm::dot(glm::abs(view_axis), box_size_m) + 2.0 * kAround_m;
 }
 
-/// Returns one ray per pixel in the box frame, row by row from the upper left pixel. All
-/// rays have the same direction.
+/// One ray per pixel in the box frame, row by row from the upper left pixel.
 RayTable make_orthographic_camera_rays(const CameraAxes& camera_axes, const glm::dvec3& box_size_m,
                                        double pixel_size_m) {
     RayTable rays;
@@ -55,8 +53,7 @@ RayTable make_orthographic_camera_rays(const CameraAxes& camera_axes, const glm:
     return rays;
 }
 
-/// Returns the brightness of each pixel, from 0 to 1. A value of -1 means that the pixel
-/// shows no surface.
+/// From 0 to 1; -1 means that the pixel shows no surface.
 std::vector<float> compute_pixel_brightness(const RenderedScan& scan, const CameraAxes& camera_axes,
                                             const glm::dquat& world_from_box,
                                             float full_brightness_intensity) {
@@ -73,7 +70,6 @@ std::vector<float> compute_pixel_brightness(const RenderedScan& scan, const Came
     return shade;
 }
 
-/// Returns the intensity that only 5 % of the visible pixels exceed.
 float find_95th_percentile_intensity(const std::vector<RenderedScan>& scans) {
     std::vector<float> values;
     for (const RenderedScan& scan : scans)
@@ -85,7 +81,6 @@ float find_95th_percentile_intensity(const std::vector<RenderedScan>& scans) {
     return std::max(*high, 1e-3f);
 }
 
-/// Draws one view of the asset into the canvas.
 /// @param top_left_row, top_left_column canvas position of the view's upper left pixel
 void draw_asset_view(Image& canvas, int top_left_row, int top_left_column, const RenderedScan& scan,
                      const std::vector<float>& pixel_brightness, const ObservedBoxSurface& surface) {

@@ -1,5 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Renders pictures of an asset from five sides.
 #pragma once
 
 #include <relidar/base/images.hpp>

@@ -32,8 +32,7 @@ struct AssetOptions {
     bool quiet = false;
 };
 
-/// Returns the reason why an actor is not saved as an asset. The text is empty if the
-/// actor is saved.
+/// Empty if the actor is saved.
 std::string explain_why_asset_is_not_saved(const AssetDescription& asset_description,
                                            const ActorObservations& observations,
                                            double min_covered_fraction) {
@@ -55,8 +54,7 @@ std::string explain_why_asset_is_not_saved(const AssetDescription& asset_descrip
 
 std::vector<std::string> list_actor_track_ids(const TrainedRun& run) {
     std::vector<std::string> tracks;
-    // Models that are already listed. A copy of an actor has the same model, so it is
-    // skipped.
+    // A copy of an actor has the same model, so it is skipped.
     std::set<std::uint32_t> models;
     for (const ModelInstance& instance : run.scene.instances)
         if (!instance.track.empty() && models.insert(instance.model).second) tracks.push_back(instance.track);
@@ -65,8 +63,8 @@ std::vector<std::string> list_actor_track_ids(const TrainedRun& run) {
     return tracks;
 }
 
-/// Adds a number to the name of an asset if another asset already has this name. Names
-/// can collide, because characters that are not allowed in folder names are replaced.
+/// Names can collide, because characters that are not allowed in folder names are
+/// replaced.
 void make_asset_name_unique(ActorAsset& asset, std::set<std::string>& used_names) {
     const std::string stem = asset.facts.name;
     std::string name = stem;

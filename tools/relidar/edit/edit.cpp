@@ -1,7 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// The command `relidar edit` writes an edited copy of a run. It can remove, move, delay
-// and copy actors, or insert actors from other runs. It can also replace all surfels by
-// the surfels of a PLY file.
+// The command `relidar edit` writes an edited copy of a run.
 #include <algorithm>
 #include <filesystem>
 #include <memory>
@@ -24,7 +22,7 @@ namespace {
 struct EditOptions {
     std::string run;
     std::string out;
-    /// PLY file whose surfels replace the surfels of the run; empty to keep them
+    /// empty to keep the surfels of the run
     std::string ply;
     std::vector<EditArgument> edits;  ///< Edits in the order in which the user typed them.
     bool force = false;
@@ -38,7 +36,6 @@ bool are_pose_tracks_identical(const PoseTrack& first, const PoseTrack& second) 
     return first.time_s == second.time_s && std::ranges::equal(first.pose, second.pose, same);
 }
 
-/// Returns the track names of the actors that an edit has added or moved.
 std::vector<std::string> list_added_or_moved_track_ids(const SceneWithLog& driving_scene,
                                                        const LidarSequence& original_log) {
     std::vector<std::string> placed;
@@ -51,8 +48,7 @@ std::vector<std::string> list_added_or_moved_track_ids(const SceneWithLog& drivi
     return placed;
 }
 
-/// Returns a note for each added or moved actor that has sides without observations, or
-/// too few surfels. An actor needs more surfels if it is closer to the sensor.
+/// Actors with sides without observations, or with too few surfels for their distance.
 std::string format_placed_actor_notes(const SceneWithLog& driving_scene, const LidarSequence& original_log) {
     std::string text;
     for (const std::string& track : list_added_or_moved_track_ids(driving_scene, original_log)) {

@@ -19,7 +19,7 @@
 namespace relidar::cli {
 namespace {
 
-// Maximum offset or speed. A larger value is probably a typing error, so it is rejected.
+// A larger offset or speed is probably a typing error.
 constexpr double kFarOff_m = 1e6;
 
 [[noreturn]] void throw_edit_error(const EditArgument& edit, const std::string& expected_value) {
@@ -33,8 +33,7 @@ const char* get_expected_value_syntax_of_option(const EditArgument& edit) {
         ->form;
 }
 
-/// Splits a text at `separator_position` and leaves out the character there. Throws an
-/// error if a part is empty.
+/// Leaves out the character at `separator_position`. Throws an error if a part is empty.
 std::pair<std::string, std::string> split_text_at_required_separator(const EditArgument& edit_for_errors,
                                                                      const std::string& text,
                                                                      std::size_t separator_position) {
@@ -55,8 +54,7 @@ std::vector<double> parse_comma_separated_numbers(const EditArgument& edit_for_e
     return values;
 }
 
-/// Converts numbers to a pose. The numbers are x, y and z in metres, and optionally yaw,
-/// pitch and roll in degrees.
+/// x, y and z in metres, and optionally yaw, pitch and roll in degrees.
 Pose make_pose_from_numbers(const std::vector<double>& xyz_yaw_pitch_roll) {
     const auto radians = [&](std::size_t index) {
         return index < xyz_yaw_pitch_roll.size() ? xyz_yaw_pitch_roll[index] * kPi / 180.0 : 0.0;
@@ -65,8 +63,8 @@ Pose make_pose_from_numbers(const std::vector<double>& xyz_yaw_pitch_roll) {
             {xyz_yaw_pitch_roll[0], xyz_yaw_pitch_roll[1], xyz_yaw_pitch_roll[2]}};
 }
 
-/// Parses a position on the ground: "x,y,ground[,yaw_deg]". Returns no value if the third
-/// field is a number instead of "ground". The text is then a full pose.
+/// "x,y,ground[,yaw_deg]"; no value if the third field is a number, because the text is
+/// then a full pose.
 std::optional<GroundPlacement> parse_ground_placement_if_present(const EditArgument& edit_for_errors,
                                                                  const std::string& text) {
     constexpr std::string_view kWord = ",ground";
@@ -83,16 +81,14 @@ std::optional<GroundPlacement> parse_ground_placement_if_present(const EditArgum
     return placement;
 }
 
-/// An actor to insert or move, and the scene that contains this actor.
 struct ActorToInsert {
     const SceneWithLog& owner;
     const std::string& track;
-    /// height of the bottom of the actor's box above the ground; no value if unknown
+    /// no value if unknown
     std::optional<double> clearance_m;
 };
 
-/// Parses a start pose with an optional speed. The text is
-/// "x,y,z,yaw_deg[,pitch_deg,roll_deg][:speed]" or "x,y,ground[,yaw_deg][:speed]".
+/// "x,y,z,yaw_deg[,pitch_deg,roll_deg][:speed]" or "x,y,ground[,yaw_deg][:speed]"
 NewActorMotion parse_actor_start_pose_and_speed(const EditArgument& edit_for_errors,
                                                 const std::string& pose_and_speed_text,
                                                 const SceneWithLog& driving_scene,
@@ -120,8 +116,7 @@ NewActorMotion parse_actor_start_pose_and_speed(const EditArgument& edit_for_err
     return {start, speed_mps};
 }
 
-/// Returns the position and tilt of an actor that the program has placed on the ground.
-/// Returns an empty text for other actors.
+/// Empty for actors that were not placed on the ground.
 std::string describe_computed_ground_pose(const NewActorMotion& start, const std::string& placement_text) {
     if (placement_text.find(",ground") == std::string::npos) return "";
     const glm::dvec3& p = start.dataset_from_box.translation;
@@ -132,8 +127,6 @@ std::string describe_computed_ground_pose(const NewActorMotion& start, const std
                        tilt_deg);
 }
 
-/// Returns a warning if the actor moves over ground that the log has not observed. The
-/// height of such ground is a guess.
 std::string format_warning_if_ground_unobserved(const NewActorMotion& start, const std::string& track_id) {
     if (start.unseen_m == 0.0) return "";
     return fmt::format(
@@ -164,8 +157,6 @@ EditResult apply_move_edit(SceneWithLog driving_scene, const EditArgument& edit)
     return {std::move(driving_scene), "moved " + track, ""};
 }
 
-/// Returns a warning if an edit removes an actor from frames of the log, for example
-/// because its motion is delayed.
 /// @param original_box track of the actor before the edit; null for a new actor
 std::string format_warning_if_actor_misses_frames(const SceneWithLog& driving_scene,
                                                   const std::string& track_id, const BoxTrack* original_box) {
@@ -183,8 +174,7 @@ std::string format_warning_if_actor_misses_frames(const SceneWithLog& driving_sc
 
 BoxTrack copy_box_track_or_empty(const SceneWithLog& driving_scene, const std::string& track_id) {
     const BoxTrack* box = find_box_track_by_id(driving_scene.sequence, track_id);
-    // Returns an empty track if the actor is unknown. The function that edits the actor
-    // reports this error.
+    // The function that edits an unknown actor reports the error.
     return box ? *box : BoxTrack{};
 }
 
@@ -216,15 +206,13 @@ EditResult apply_copy_edit(SceneWithLog driving_scene, const EditArgument& edit)
             format_warning_if_ground_unobserved(start, get_track_id_of_last_instance(driving_scene))};
 }
 
-/// An actor that is inserted from another run or from an asset.
 struct ExternalActor {
     std::string folder, track;
     TrainedRun run;
     SceneWithLog owner;
 };
 
-/// Loads an actor. The argument is either RUN#TRACK (run folder and track name) or the
-/// folder of an exported actor (asset).
+/// RUN#TRACK (run folder and track name), or the folder of an asset.
 ExternalActor load_actor_from_run_or_asset(const EditArgument& edit_for_errors,
                                            const std::string& run_and_track_or_asset_folder) {
     const bool named = run_and_track_or_asset_folder.find('#') != std::string::npos;
@@ -238,7 +226,6 @@ ExternalActor load_actor_from_run_or_asset(const EditArgument& edit_for_errors,
     return {folder, track, std::move(run), std::move(owner)};
 }
 
-/// Returns a warning if the actor was recorded with another type of sensor than this run.
 std::string format_warning_if_sensors_differ(const ExternalActor& actor, const SceneWithLog& driving_scene) {
     const SpinningSensor &actor_sensor = actor.run.sequence.lidars[0].sensor,
                          &run_sensor = driving_scene.sequence.lidars[0].sensor;
@@ -311,8 +298,7 @@ EditResult apply_command_line_edit(SceneWithLog driving_scene, const EditArgumen
     try {
         return function->second(std::move(driving_scene), edit);
     } catch (const UsageError& error) {
-        // Adds the option and its value to the error message, so that the user knows
-        // which of several edits failed.
+        // so that the user knows which of several edits failed
         const std::string message = error.what();
         throw UsageError(message.starts_with(edit.option)
                              ? message

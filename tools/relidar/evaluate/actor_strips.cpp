@@ -23,8 +23,7 @@ constexpr double kPixels_per_m = 80.0, kBeside_m = 0.25, kWider_m = 0.5;
 constexpr int kDot = 3;
 constexpr float kErrorScale_m = 0.3f;  // distance that the brightest colour of the error shows
 
-/// Returns the rays of a frame that may hit the box, as a list without image rows and
-/// columns.
+/// As a list without image rows and columns.
 Scan select_scan_rays_near_box(const TrainedRun& run, const LidarFrame& frame, const BoxTrack& box) {
     const Pose sensor = run.sequence.world_from_vehicle.interpolate_mounted_pose(
         frame.time_s, run.sequence.get_lidar(frame).vehicle_from_sensor);
@@ -46,12 +45,11 @@ Scan select_scan_rays_near_box(const TrainedRun& run, const LidarFrame& frame, c
 struct WalkingActorFrames {
     const BoxTrack* box = nullptr;
     std::vector<const LidarFrame*> frames;
-    /// Mean distance between the actor and the origin of the vehicle frame.
+    /// between the actor and the vehicle
     double distance_m = std::numeric_limits<double>::max();
 };
 
-/// Finds the walking actor that comes nearest to the vehicle, and the frames in which
-/// this actor is nearest.
+/// The one that comes nearest to the vehicle, and the frames in which it is nearest.
 WalkingActorFrames find_nearest_walking_actor(const TrainedRun& run) {
     WalkingActorFrames nearest;
     for (const ModelInstance& instance : run.scene.instances) {
@@ -75,14 +73,12 @@ WalkingActorFrames find_nearest_walking_actor(const TrainedRun& run) {
     return nearest;
 }
 
-/// A point of an actor in a picture: its position in metres, and a value that is shown as
-/// colour.
+/// `value` is shown as colour.
 struct PictureDot {
     double right_m, up_m;
     float value;
 };
 
-/// Draws several sets of dots side by side.
 /// @param panel_half_size_m half width and half height of each panel, metres
 /// @param min_value value at the lower end of the colour map; `max_value` is the upper
 /// end
@@ -106,9 +102,8 @@ Image draw_dots_in_side_by_side_panels(const std::vector<std::vector<PictureDot>
     return apply_colour_map(values, rows, columns, min_value, max_value, colour_map_name);
 }
 
-/// Projects the points of an actor into a side view along `horizontal_view_direction`.
-/// The value of each dot is the point's depth along this direction, relative to the
-/// centre of the actor's box.
+/// Side view along `horizontal_view_direction`. The value of a dot is its depth along
+/// this direction, relative to the centre of the actor's box.
 std::vector<PictureDot> project_box_points_to_picture_dots(const std::vector<glm::dvec3>& points_m,
                                                            const glm::dvec2& horizontal_view_direction) {
     std::vector<PictureDot> dots;
@@ -118,8 +113,6 @@ std::vector<PictureDot> project_box_points_to_picture_dots(const std::vector<glm
     return dots;
 }
 
-/// Renders the rays of a frame that may hit an actor. Returns the recorded and the
-/// rendered points in the actor's box.
 MovingBoxPoints collect_real_and_rendered_box_points(ScanRenderer& renderer, const TrainedRun& run,
                                                      const Config& config, const LidarFrame& frame,
                                                      const BoxTrack& box) {
@@ -136,8 +129,7 @@ MovingBoxPoints collect_real_and_rendered_box_points(ScanRenderer& renderer, con
                                  get_sweep_timing_of_frame(frame), box);
 }
 
-/// Returns the settings for pictures of actors: one traced ray and at most one return per
-/// beam.
+/// One traced ray and at most one return per beam.
 Config make_actor_picture_config(const TrainedRun& run) {
     Config config = run.config;
     config.sensor.grid = "native";
@@ -145,8 +137,7 @@ Config make_actor_picture_config(const TrainedRun& run) {
     return config;
 }
 
-/// Draws an actor in some frames, as the sensor sees it. Returns nothing if it has too
-/// few real points.
+/// Nothing if the actor has too few real points.
 std::optional<ReportFigure> draw_actor_comparison_figure(ScanRenderer& renderer, const TrainedRun& run,
                                                          const Config& config, const ActorScore& actor) {
     const BoxTrack* box = find_box_track_by_id(run.sequence, actor.track);
@@ -168,7 +159,7 @@ std::optional<ReportFigure> draw_actor_comparison_figure(ScanRenderer& renderer,
         n += points.real_m.size();
         real.push_back(project_box_points_to_picture_dots(points.real_m, direction));
         simulated.push_back(project_box_points_to_picture_dots(points.simulated_m, direction));
-        // Colours each simulated point by its distance to the nearest real point, metres.
+        // distance to the nearest real point, metres
         std::vector<PictureDot>& error_dots = errors.emplace_back(simulated.back());
         for (std::size_t i = 0; i < error_dots.size(); ++i) {
             double nearest_m = std::numeric_limits<double>::max();

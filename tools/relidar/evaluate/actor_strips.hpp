@@ -1,5 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Draws the real and the simulated points of actors in several frames, side by side.
 #pragma once
 
 #include <filesystem>

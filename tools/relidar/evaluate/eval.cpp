@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// The command `relidar eval` renders the held-out frames of a run and compares them with
-// the log. It can also score a baseline, which needs a log but no run. A third use is a
-// table that contains the scores of several runs.
+// The command `relidar eval` compares the held-out frames of a run with the log. It also
+// scores a baseline, which needs no run, and writes a table of the scores of several
+// runs.
 #include <algorithm>
 #include <chrono>
 #include <cmath>
@@ -56,10 +56,9 @@ void require_held_out_frames(const TrainTestSplit& split, const std::string& run
         fail("cannot evaluate {}: it has no held-out frames; expected at least one", run_or_log_path);
 }
 
-/// Output files and folders of the command. The first MPI process checks that they are
-/// writable, before any process renders.
+/// The first MPI process checks that they are writable, before any process renders.
 struct EvaluationOutputs {
-    /// Paths of the output files. If a path is empty, that output is not written.
+    /// not written if empty
     std::filesystem::path file, pictures;
     std::optional<OutputFolder> of_file;
     std::optional<LockedFolder> of_pictures;
@@ -98,15 +97,13 @@ double measure_seconds_since(std::chrono::steady_clock::time_point start) {
     return std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
 }
 
-/// Writes the scores as a web page and opens this page in a browser.
 void write_and_open_report_page(const std::filesystem::path& page_file, const Report& report, bool quiet) {
     write_report(page_file, report);
     if (!quiet) print("page     " + make_absolute_path(page_file.string()) + "\n");
     open_in_browser(make_absolute_path(page_file.string()));
 }
 
-/// Keeps only the frames that this process scores. The other MPI processes score the
-/// remaining frames.
+/// The other MPI processes score the remaining frames.
 void select_frames_of_this_process(std::vector<int>& frame_positions, const MpiProcessGroup& ranks) {
     const ProcessGroup::PartRange share =
         ranks.get_process_group().get_range_of_process(frame_positions.size());
@@ -174,14 +171,13 @@ void evaluate_trained_run(const EvalOptions& options, const MpiProcessGroup& ran
     write_and_open_report_page(output.file.parent_path() / "evaluation.html", report, options.quiet);
 }
 
-/// Settings that affect the scores of a baseline.
 const std::vector<std::string> kBaselineSettings = {
     "dataset.sequence",        "dataset.lidars",      "dataset.frames_begin",  "dataset.frames_end",
     "dataset.test_every",      "dataset.poses",       "dataset.test_frames",   "dataset.poses_from",
     "dataset.skip_broken",     "dataset.min_range_m", "dataset.memory_mib",    "dataset.max_range_m",
     "dataset.waymo_intensity", "sensor.grid",         "sensor.rolling_shutter"};
 
-/// Scores a baseline on a log. A baseline needs neither a trained run nor a GPU.
+/// Needs neither a trained run nor a GPU.
 void evaluate_baseline_on_log(const EvalOptions& options, const MpiProcessGroup& ranks) {
     require_settings_used_by_command(options.sets, kBaselineSettings, "eval LOG --baseline");
     Config config = make_preset_config("default");
@@ -235,8 +231,7 @@ void run_eval_command(const EvalOptions& command_options, const std::string& com
             "--open: found {} MPI processes; expected one, because the page shows all frames, but each of "
             "several processes renders only a part of them",
             ranks.size());
-    // Throws an error if the baseline is unknown. This is checked before the log is
-    // loaded, because loading takes a long time.
+    // Throws for an unknown baseline before the log is loaded, which takes a long time.
     if (!options.baseline.empty()) (void)parse_box_point_motion_of_baseline(options.baseline);
     if (!options.baseline.empty() && !is_run_folder(options.target)) {
         if (options.open)
@@ -253,8 +248,7 @@ void run_eval_command(const EvalOptions& command_options, const std::string& com
     evaluate_trained_run(options, ranks, command_line);
 }
 
-/// Checks that the option --table is not combined with options for scoring.
-/// @throws UsageError if such an option is given
+/// @throws UsageError if an option for scoring is given
 void require_no_scoring_options_if_table_given(const CLI::App& command) {
     for (const CLI::Option* option : command.get_options()) {
         if (option->count() == 0 || option->get_positional() || option->check_lname("table") ||

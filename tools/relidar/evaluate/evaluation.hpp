@@ -14,19 +14,16 @@ namespace relidar::cli {
 class TerminalProgress;
 class MpiProcessGroup;
 
-/// Returns a callback that shows the progress of an evaluation. After Ctrl-C, the
-/// callback throws an Error with exit code 130 to stop the evaluation.
+/// After Ctrl-C, the callback throws an Error with exit code 130.
 relidar::ProgressReporter make_interruptible_progress_callback(TerminalProgress& terminal_progress);
 
-/// Returns the five most important scores for the terminal, one per line. A missing score
-/// is left out.
+/// The five most important scores, one per line. A missing score is left out.
 std::string format_score_summary(const EvaluationResult& evaluation);
-/// Returns a table of the 20 moving boxes with the worst scores. The first row contains
-/// the column titles.
+/// The 20 moving boxes with the worst scores, below the column titles.
 std::vector<std::vector<std::string>> make_worst_actor_table_rows(const EvaluationResult& evaluation);
-/// Returns tables of all metrics for the terminal. They show the mean, minimum and
-/// maximum over the frames, the errors by region, and the meaning of each metric.
-/// @param baseline scores of a baseline, whose means are shown too; may be null
+/// Mean, minimum and maximum over the frames, errors by region, and the meaning of each
+/// metric.
+/// @param baseline its means are shown too; may be null
 std::string format_metric_tables(const EvaluationResult& evaluation,
                                  const EvaluationResult* baseline = nullptr);
 
@@ -36,13 +33,11 @@ std::string format_metric_tables(const EvaluationResult& evaluation,
 EvaluationResult gather_evaluation_from_ranks(const EvaluationResult& local_evaluation,
                                               const MpiProcessGroup& ranks);
 
-/// Returns the scored frames as JSON objects. Each object contains the frame number,
-/// LiDAR, time, number of rays, render time, metrics, and the scores of each moving box.
-/// The program writes them into metrics.json and sends them between MPI processes.
+/// Frame number, LiDAR, time, number of rays, render time, metrics, and scores of each
+/// moving box, for metrics.json and for messages between MPI processes.
 nlohmann::ordered_json make_scored_frames_json(const EvaluationResult& evaluation);
 
-/// Describes how the scores were computed: device, memory, time and baseline. These
-/// values are also written to metrics.json.
+/// How the scores were computed, for metrics.json.
 struct EvaluationProvenance {
     std::string run;  ///< Path of the run. Empty if a baseline was scored without a run.
     std::string device;
@@ -50,8 +45,7 @@ struct EvaluationProvenance {
     double seconds = 0.0;
     const EvaluationResult* baseline = nullptr;
 };
-/// Returns the text of the file metrics.json. It contains the scores of each frame, their
-/// means, the evaluation protocol, timings, device and memory.
+/// Scores of each frame, means, evaluation protocol, timings, device and memory.
 std::string make_metrics_json(const EvaluationResult& evaluation, const Config& config,
                               const EvaluationProvenance& provenance);
 

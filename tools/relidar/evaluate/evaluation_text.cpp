@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Formats scores as tables and as the file metrics.json. The evaluation protocol and the
-// hit threshold are always written next to the scores, because scores of different
-// protocols are not comparable.
+// Formats scores as tables and as metrics.json. The protocol is always next to the
+// scores, because scores of different protocols are not comparable.
 #include "evaluate/evaluation.hpp"
 
 #include <algorithm>
@@ -84,8 +83,7 @@ bool is_metric_of_whole_frame(const std::string& metric_name) {
            metric_name.starts_with("classes/");
 }
 
-/// Returns the minimum and the maximum of a metric over all frames. Frames without this
-/// metric are skipped.
+/// Skips frames without this metric.
 std::pair<double, double> find_metric_min_and_max(const EvaluationResult& evaluation,
                                                   const std::string& metric_name) {
     double low = evaluation.mean.at(metric_name), high = low;

@@ -1,5 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Sends the frame scores of all MPI processes to the first process.
 #include "evaluate/evaluation.hpp"
 
 #include <utility>

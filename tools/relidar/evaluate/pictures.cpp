@@ -24,7 +24,7 @@ std::vector<ReportFigure> make_comparison_figures(const ScoredFrame& frame, cons
                                                   const std::string& real_caption, double max_range_m) {
     const RangeImage& real = frame.real;
     const RangeImage& rendered = frame.rendered.image;
-    // The mask is 1 for rays that return in both images and 0 for all others.
+    // 1 for rays that return in both images, 0 for others
     std::vector<float> mask = make_returned_pixel_mask(real);
     const std::vector<float> rendered_mask = make_returned_pixel_mask(rendered);
     for (std::size_t i = 0; i < mask.size(); ++i) mask[i] *= rendered_mask[i];
@@ -70,7 +70,7 @@ std::vector<ReportFigure> make_comparison_figures(const ScoredFrame& frame, cons
 
 void write_comparison_pictures(const std::filesystem::path& folder, const ScoredFrame& frame,
                                double max_range_m) {
-    // File names in the same order as the figures that make_comparison_figures() returns.
+    // in the order of make_comparison_figures()
     std::vector<const char*> names = {"range", "intensity", "drop"};
     if (!has_intensities(frame.real)) names.erase(names.begin() + 1);
     const std::vector<ReportFigure> figures = make_comparison_figures(frame, "", "real", max_range_m);

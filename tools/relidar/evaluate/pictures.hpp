@@ -17,27 +17,23 @@ struct ScoredFrame;
 
 namespace relidar::cli {
 
-/// Draws three figures of a frame: range, intensity and ray-drop. Each figure shows the
-/// real image, the rendered image and the error. If the log has no intensities, that
-/// figure is left out.
+/// Range, intensity (if the log has intensities) and ray-drop.
 /// @param title text before the name of each figure
 /// @param real_caption caption of the real images
 std::vector<ReportFigure> make_comparison_figures(const ScoredFrame& frame, const std::string& title,
                                                   const std::string& real_caption, double max_range_m);
 
-/// Writes pictures of a frame as FOLDER/{range,intensity,drop}_000123.png. Each picture
-/// shows the real image, the rendered image and the error, from top to bottom. If the log
-/// has no intensities, that picture is left out.
+/// FOLDER/{range,intensity,drop}_000123.png: the real image, the rendered image and the
+/// error, from top to bottom. Without intensity if the log has none.
 void write_comparison_pictures(const std::filesystem::path& folder, const ScoredFrame& frame,
                                double max_range_m);
 
-/// Draws the real range image above the rendered range image.
+/// real above rendered
 Image draw_stacked_real_and_rendered_range(const ScoredFrame& frame, double max_range_m);
 
-/// Draws the ray pattern of a sensor. Each ray is a dot whose colour shows its firing
-/// time. Azimuth increases to the right as seen from the sensor, and elevation increases
-/// upwards. If the sensor covers all azimuths, the picture shows only the 40 degrees
-/// ahead.
+/// Each ray is a dot whose colour shows its firing time. Azimuth increases to the right
+/// as seen from the sensor, elevation upwards. Shows only 40 degrees ahead of a full
+/// turn.
 Image draw_rays_as_coloured_dots(const RayTable& rays);
 
 }  // namespace relidar::cli

@@ -15,23 +15,20 @@ struct EvaluationResult;
 
 namespace relidar::cli {
 
-/// Returns a report about a training with facts, loss curves and kernel times. The report
-/// has no scores until add_evaluation_to_report() adds them.
+/// Facts, loss curves and kernel times, without scores.
 Report make_training_report(const TrainedRun& run, const TrainResult& result, const Device& device,
                             const std::string& command_line);
 
-/// Texts that describe a set of scored frames in the report.
 struct EvaluationLabels {
     std::string column;  ///< Title of the column in the metric table, such as "held out".
     std::string real;    ///< Caption of the real images: "real" or "exact".
 };
-/// Adds the scores of an evaluation to a report. It adds metrics, timings, errors by
-/// range, moving objects, and the points and pictures of one frame. The first call also
-/// extends the summary of the report.
+/// Adds metrics, timings, errors by range, moving objects, and the points and pictures of
+/// one frame. The first call also extends the summary of the report.
 void add_evaluation_to_report(Report& report, const EvaluationResult& evaluation, const TrainedRun& run,
                               const EvaluationLabels& labels);
 
-/// Returns a report that contains only an evaluation and no facts about the training.
+/// Without facts about the training.
 Report make_evaluation_report(const TrainedRun& run, const EvaluationResult& evaluation, const Device& device,
                               const std::string& command_line);
 

@@ -60,9 +60,8 @@ std::vector<MetricValues> collect_mean_metrics(const std::vector<ScoredRun>& run
     return rows;
 }
 
-/// Returns the names of the protocol settings that differ between the runs, such as
-/// "grid, range". The table warns about them, because scores of different protocols are
-/// not comparable.
+/// For example "grid, range". The table warns about them, because scores of different
+/// protocols are not comparable.
 std::string list_differing_protocol_keys(const std::vector<ScoredRun>& runs) {
     std::set<std::string> keys;
     const ScoredRun* first = nullptr;
@@ -163,8 +162,7 @@ void write_html_score_page(const fs::path& file, const std::vector<ScoredRun>& r
     write_report(file, report);
 }
 
-/// Checks that every run has scores.
-/// @throws DataError if a run has no scores; the message names the run
+/// @throws DataError naming the run
 void require_scores_in_all_runs(const std::vector<ScoredRun>& runs) {
     const auto missing =
         std::find_if(runs.begin(), runs.end(), [](const ScoredRun& run) { return run.mean.empty(); });

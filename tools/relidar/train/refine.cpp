@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The command `relidar refine` trains only the ray-drop network of a run. It scores the
-// held-out frames with the network and without it.
+// The command `relidar refine` trains only the ray-drop network of a run, and scores the
+// run with the network and without it.
 #include <memory>
 #include <optional>
 
@@ -30,8 +30,7 @@ struct RefineCommandOptions {
     bool quiet = false;
 };
 
-/// Loads the checkpoint from which training resumes.
-/// @return no value if training starts from the beginning
+/// No value if training starts from the beginning.
 std::optional<Checkpoint> load_newest_checkpoint_if_resuming(const RefineCommandOptions& options) {
     const std::filesystem::path folder = get_network_checkpoint_folder(options.run);
     if (!options.resume) {
@@ -50,8 +49,7 @@ std::optional<Checkpoint> load_newest_checkpoint_if_resuming(const RefineCommand
     return start;
 }
 
-/// Trains the ray-drop network and saves it. If the user interrupts the training, throws
-/// an error whose message contains the command that resumes the training.
+/// If the user interrupts, throws an error with the command that resumes the training.
 void train_and_save_drop_network(Device& device, TrainedRun& run, const RefineCommandOptions& options,
                                  const Checkpoint* start_checkpoint) {
     if (start_checkpoint && !options.quiet)
@@ -72,8 +70,6 @@ void train_and_save_drop_network(Device& device, TrainedRun& run, const RefineCo
     save_run(run);
 }
 
-/// Renders and scores the held-out frames of a run.
-/// @param use_drop_network if true, applies the ray-drop network
 EvaluationResult score_held_out_frames(Device& device, TrainedRun run, bool use_drop_network, bool quiet) {
     run.config.refine.enabled = use_drop_network;
     ScanRenderer renderer(device, run);
@@ -82,8 +78,7 @@ EvaluationResult score_held_out_frames(Device& device, TrainedRun run, bool use_
                            make_interruptible_progress_callback(progress));
 }
 
-/// Scores the run without and with the ray-drop network. Prints both scores and writes
-/// the scores with the network to metrics.json.
+/// Writes the scores with the network to metrics.json.
 void score_with_and_without_network(Device& device, const TrainedRun& run,
                                     const RefineCommandOptions& options) {
     const EvaluationResult before = score_held_out_frames(device, run, false, options.quiet),
@@ -120,8 +115,7 @@ void run_refine_command(const RefineCommandOptions& options) {
 
     train_and_save_drop_network(device, run, options, start ? &*start : nullptr);
     if (!options.no_eval && !run.split.test.empty()) score_with_and_without_network(device, run, options);
-    // The checkpoints are removed last, so that --resume can use them if the process is
-    // killed earlier.
+    // Removed last, so that --resume can use them if the process is killed earlier.
     remove_network_checkpoints(run.folder);
 }
 

@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The command `relidar train` trains a run on a log, or resumes a training. It checks the
-// settings, LPIPS weights, output folder, checkpoint and device before it reads the log,
-// so that the user sees errors early.
+// The command `relidar train` trains a run on a log, or resumes a training. It checks all
+// options before it reads the log, so that the user sees errors early.
 #include <memory>
 #include <optional>
 #include <string_view>
@@ -40,8 +39,7 @@ struct TrainOptions {
     std::string blocks;         ///< Length of the blocks into which the log is divided, such as "60m".
     std::string resume_folder;  ///< Argument of --resume.
     bool resume = false;
-    /// True if the user typed --preset or --config. A resumed training then does not use
-    /// the settings of its run.
+    /// Then a resumed training does not use the settings of its run.
     bool from_preset = false;
     bool force = false;
     bool no_eval = false;
@@ -55,8 +53,7 @@ bool is_file(const fs::path& path) {
     return fs::is_regular_file(path, failed);
 }
 
-/// Decides which argument is the log and which is the output folder, because the option
-/// --resume can precede either of them.
+/// --resume can precede the log or the output folder.
 TrainOptions resolve_log_and_output_folder(TrainOptions options) {
     if (options.out.empty()) options.out = options.resume_folder;
     else if (options.dataset.empty())
@@ -74,8 +71,7 @@ TrainOptions resolve_log_and_output_folder(TrainOptions options) {
     return options;
 }
 
-/// Returns the settings of a training. A resumed training uses its saved settings. If
-/// --preset or --config is given, these options replace the saved settings.
+/// A resumed training uses its saved settings, unless --preset or --config is given.
 Config make_training_config(const TrainOptions& options) {
     const fs::path saved = fs::path(options.out) / kConfigFile;
     Config config;
@@ -86,8 +82,7 @@ Config make_training_config(const TrainOptions& options) {
         parse_and_apply_setting_texts(config, options.settings.sets);
     }
     if (options.resume && config.dataset.max_range_m == 0.0 && is_file(saved))
-        // A maximum range of 0 means automatic. The resumed training uses the range that
-        // was found earlier.
+        // 0 means automatic. The resumed training uses the range that was found earlier.
         config.dataset.max_range_m = load_saved_config(saved).dataset.max_range_m;
     if (contains_run(options.dataset))
         fail<UsageError>(
@@ -105,14 +100,13 @@ Config make_training_config(const TrainOptions& options) {
     return config;
 }
 
-/// Returns true if the training of a run is finished. The run must have a scene, a
-/// report, and at least the requested number of iterations.
+/// It must have a scene, a report, and at least the requested number of iterations.
 bool is_training_finished(const fs::path& run_folder, const Config& config) {
     return is_file(run_folder / "scene.json") && is_file(run_folder / "report.html") &&
            read_last_logged_iteration(run_folder) >= config.train.iterations;
 }
 
-/// Returns true if two configurations have equal values for all settings of a group.
+/// settings whose names begin with the group
 bool is_setting_group_equal(const Config& first, const Config& second, std::string_view setting_name_prefix) {
     const std::vector<ConfigKey> x = list_config_keys(first), y = list_config_keys(second);
     for (std::size_t i = 0; i < x.size(); ++i)
@@ -120,7 +114,6 @@ bool is_setting_group_equal(const Config& first, const Config& second, std::stri
     return true;
 }
 
-/// Compares the current settings with the settings of a finished run.
 /// @throws UsageError if the run was trained with other settings
 void require_same_settings_as_finished_run(const fs::path& run_folder, const Config& current_config) {
     const Config trained = load_saved_config(run_folder / kConfigFile);
@@ -138,8 +131,6 @@ void require_same_settings_as_finished_run(const fs::path& run_folder, const Con
             run_folder.string(), key);
 }
 
-/// Returns true if the scene of a run was trained to the end with these settings, but no
-/// report was written.
 bool has_trained_scene_but_no_report(const fs::path& run_folder, const Config& config) {
     if (!is_file(run_folder / "scene.json") || is_file(run_folder / "report.html") ||
         read_last_logged_iteration(run_folder) < config.train.iterations)
@@ -150,8 +141,7 @@ bool has_trained_scene_but_no_report(const fs::path& run_folder, const Config& c
            find_setting_that_prevents_resuming(trained, config).empty();
 }
 
-/// Loads the checkpoint from which training resumes.
-/// @return no value if training starts from the beginning
+/// No value if training starts from the beginning.
 std::optional<Checkpoint> load_newest_checkpoint_if_resuming(const TrainOptions& options) {
     const fs::path folder = options.out;
     std::optional<Checkpoint> start = load_newest_checkpoint(get_checkpoint_folder(folder), print_warning);
@@ -178,15 +168,13 @@ void print_frames_and_device_of_training(const LidarSequence& sequence, const Tr
     std::fflush(stdout);
 }
 
-/// Returns the command line that resumes this training.
 std::string format_train_resume_command(const TrainOptions& options) {
     std::string command = "relidar train --resume " + quote_word_for_shell(options.out);
     for (const std::string& word : make_device_arguments(options.device)) command += " " + word;
     return command;
 }
 
-/// Trains the scene. If the training fails, throws an error whose message names the last
-/// checkpoint and the command that resumes the training.
+/// An error names the last checkpoint and the command that resumes the training.
 TrainResult train_scene_or_throw_with_resume_hint(Device& device, const TrainedRun& run,
                                                   const TrainOptions& options,
                                                   const Checkpoint* checkpoint_to_resume,
@@ -210,7 +198,7 @@ TrainResult train_scene_or_throw_with_resume_hint(Device& device, const TrainedR
     }
 }
 
-/// Returns the error message for a user who interrupts a step after the scene was saved.
+/// For a user who interrupts a step after the scene was saved.
 Error make_error_with_resume_command(const char* interrupted_step, const TrainedRun& run,
                                      const TrainOptions& options) {
     return Error(ExitCode::interrupted,
@@ -218,8 +206,7 @@ Error make_error_with_resume_command(const char* interrupted_step, const Trained
                              interrupted_step, run.folder.string(), format_train_resume_command(options)));
 }
 
-/// Runs the steps after the training of the scene and before the training of the ray-drop
-/// network. These steps align the held-out scans and learn the intensity noise.
+/// The steps between the training of the scene and of the network.
 void align_held_out_scans_and_learn_noise_or_throw(Device& device, TrainedRun& run,
                                                    const TrainOptions& options, StageTimes& stage_times) {
     if (align_held_out_scans_and_fit_intensity_noise(device, run, options.quiet, stage_times) ==
@@ -228,8 +215,7 @@ void align_held_out_scans_and_learn_noise_or_throw(Device& device, TrainedRun& r
             "held-out scans were being aligned or intensity noise was being learned", run, options);
 }
 
-/// Scores the held-out frames and writes the scores to metrics.json.
-/// @return an empty evaluation if the log has no held-out frames
+/// Empty if the log has no held-out frames.
 EvaluationResult evaluate_held_out_and_write_metrics(Device& device, const TrainedRun& run,
                                                      const TrainOptions& options) {
     if (run.split.test.empty() || options.no_eval) return {};
@@ -246,8 +232,7 @@ EvaluationResult evaluate_held_out_and_write_metrics(Device& device, const Train
     return evaluation;
 }
 
-/// Writes the report. If the training was not interrupted, also computes the scores and
-/// writes them.
+/// Without scores if the training was interrupted.
 void score_and_write_training_report(Device& device, const TrainedRun& run, const TrainResult& result,
                                      const TrainOptions& options, const std::string& command_line,
                                      StageTimes& stage_times) {
@@ -290,9 +275,8 @@ void score_and_write_training_report(Device& device, const TrainedRun& run, cons
                       make_absolute_path((run.folder / "report.html").string())));
 }
 
-/// Loads the checkpoint from which the training of the ray-drop network resumes. If the
-/// checkpoint belongs to another scene or other settings, prints a note and returns no
-/// value.
+/// If the checkpoint belongs to another scene or other settings, prints a note and
+/// returns no value.
 std::optional<Checkpoint> load_matching_network_checkpoint(const TrainedRun& run) {
     try {
         std::optional<Checkpoint> start =
@@ -306,8 +290,8 @@ std::optional<Checkpoint> load_matching_network_checkpoint(const TrainedRun& run
     }
 }
 
-/// Trains the ray-drop network of a saved scene and saves the network. Only prints a note
-/// if the log has no suitable training data, or if the device cannot run the network.
+/// Only prints a note if the log has no suitable training data, or if the device cannot
+/// run the network.
 void train_and_save_drop_network_if_possible(Device& device, TrainedRun& run, const TrainOptions& options,
                                              StageTimes& stage_times) {
     const std::optional<Checkpoint> start = load_matching_network_checkpoint(run);
@@ -327,8 +311,7 @@ void train_and_save_drop_network_if_possible(Device& device, TrainedRun& run, co
             TrainingEndReason::stopped)
             throw make_error_with_resume_command("the ray-drop network was trained", run, options);
     } catch (const DataError& error) {
-        // The checkpoints are useless, because a resumed training would fail with the
-        // same error.
+        // A resumed training would fail with the same error.
         remove_network_checkpoints(run.folder);
         return leave_out(error);
     } catch (const DeviceError& error) {
@@ -338,8 +321,7 @@ void train_and_save_drop_network_if_possible(Device& device, TrainedRun& run, co
     remove_network_checkpoints(run.folder);
 }
 
-/// Resumes a run whose scene is already trained. Runs only the missing steps, such as the
-/// ray-drop network and the scores.
+/// Such as the ray-drop network and the scores.
 void run_steps_missing_after_scene_training(const TrainOptions& options, const Config& config,
                                             const std::string& command_line) {
     const RunOutputFolder folder(options.out, ExistingRunPolicy::keep);
@@ -359,8 +341,7 @@ void run_steps_missing_after_scene_training(const TrainOptions& options, const C
     }
     install_interrupt_handlers();
     if (!run.held_out_placed) align_held_out_scans_and_learn_noise_or_throw(device, run, options, stages);
-    // The network is trained, so its checkpoints are obsolete. A process that was killed
-    // may have left them.
+    // A process that was killed may have left them.
     if (has_network) remove_network_checkpoints(run.folder);
     else if (config.refine.enabled) train_and_save_drop_network_if_possible(device, run, options, stages);
     TrainResult result;
@@ -373,16 +354,14 @@ void run_steps_missing_after_scene_training(const TrainOptions& options, const C
     score_and_write_training_report(device, run, result, options, command_line, stages);
 }
 
-/// Prepares the folder of a run before its training starts or resumes: removes the
-/// results of an earlier training, and saves the settings.
+/// Removes the results of an earlier training, and saves the settings.
 void remove_old_results_and_save_config(const fs::path& run_folder, const Config& config, bool keep_blocks,
                                         bool keep_checkpoints) {
     remove_run_result_files(run_folder);
     remove_network_checkpoints(run_folder);
     if (!keep_checkpoints) remove_checkpoints(get_checkpoint_folder(run_folder));
     if (!keep_blocks) remove_block_folders(run_folder);
-    // Saves the settings before the training starts. If the process is killed, the
-    // training can be resumed with them.
+    // If the process is killed, the training can be resumed with them.
     write_text_file(run_folder / kConfigFile, to_toml(config));
 }
 
@@ -400,7 +379,6 @@ std::string format_training_is_finished(const std::string& run_folder, int n_ite
         run_folder, n_iterations);
 }
 
-/// Decides what happens to an existing run in the output folder.
 ExistingRunPolicy choose_existing_run_policy(const TrainOptions& options) {
     if (options.force) return ExistingRunPolicy::replace;
     return options.resume ? ExistingRunPolicy::keep : ExistingRunPolicy::refuse;

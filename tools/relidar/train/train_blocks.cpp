@@ -25,11 +25,9 @@ namespace {
 namespace fs = std::filesystem;
 using Clock = std::chrono::steady_clock;
 
-/// Returns true if a setting may differ between the blocks of a scene, which are trained
-/// separately.
+/// between the blocks of a scene
 bool may_setting_differ_between_blocks(const std::string& setting_key) {
-    // Keys of the settings that may differ between blocks. Actor settings are included,
-    // because each block lists only the actors in its part of the log.
+    // Each block lists only the actors in its part of the log.
     constexpr std::array kFree{"dataset.path",           "dataset.memory_mib", "train.log_every",
                                "train.frame_memory_mib", "init.actor_classes", "init.actor_tracks"};
     constexpr std::array kFreeGroups{"train.checkpoint_minutes", "render.", "refine.", "trace.", "blocks."};
@@ -38,7 +36,6 @@ bool may_setting_differ_between_blocks(const std::string& setting_key) {
                        [&](const char* group) { return setting_key.starts_with(group); });
 }
 
-/// Compares the settings of a trained block with the current settings.
 /// @throws DataError if the block was trained with other settings
 void require_same_settings_as_trained_block(const fs::path& block_folder, const Config& trained_block_config,
                                             const Config& current_config) {
@@ -52,7 +49,6 @@ void require_same_settings_as_trained_block(const fs::path& block_folder, const 
                 block_folder.string(), is[i].key, was[i].value, is[i].value);
 }
 
-/// Compares the frames of a trained block with the current frames.
 /// @throws DataError if the block was trained on other frames
 void require_same_frames_as_trained_block(const TrainedRun& trained_block,
                                           const BlockTrainingLog& current_block_log) {
@@ -70,8 +66,7 @@ void require_same_frames_as_trained_block(const TrainedRun& trained_block,
             is.front().index, is.back().index);
 }
 
-/// Combines the training results of all blocks of a scene. Sums up the times and averages
-/// the losses.
+/// Sums up the times and averages the losses of all blocks.
 class BlockTrainTotals {
 public:
     void add_block_progress_to_sums(const std::vector<TrainProgress>& block_progress) {
@@ -111,7 +106,6 @@ private:
     double seconds_ = 0.0;
 };
 
-/// Trains a long log in parts (blocks), one after the other.
 class BlockTrainer {
 public:
     BlockTrainer(Device& device, TrainedRun& run, const BlockTrainingOptions& training)
@@ -130,8 +124,7 @@ public:
                     ? fmt::format("; the blocks are shared among {} MPI processes", how_.ranks.size())
                     : ""));
         std::vector<fs::path> folders;
-        // Numbers of the blocks that this call did not train, because they are finished
-        // or because another MPI process trains them.
+        // finished, or trained by another MPI process
         std::vector<std::size_t> others;
         for (std::size_t k = 0; k < blocks_.size(); ++k) {
             folders.push_back(get_blocks_folder(run_.folder) / fmt::format("{:03}", k));
@@ -149,13 +142,11 @@ public:
     }
 
 private:
-    /// Trains block `block_index` in a folder. Does nothing if the block is already
-    /// trained, or if another MPI process trains it.
+    /// Does nothing if the block is already trained, or if another MPI process trains it.
     /// @return true if this call has trained the block
     bool train_block_if_not_done_or_locked(std::size_t block_index, const fs::path& block_folder) {
         std::error_code failed;
-        // Ignores the error here, because locking the folder reports the same error
-        // below.
+        // Locking the folder reports the same error below.
         fs::create_directories(block_folder, failed);
         const std::unique_ptr<FolderLock> lock = FolderLock::try_lock_folder(block_folder);
         if (!lock) return false;
@@ -164,8 +155,7 @@ private:
         if (fs::is_regular_file(block_folder / "scene.json", failed)) {
             const TrainedRun trained = load_run(block_folder);
             require_same_frames_as_trained_block(trained, log);
-            // Removes old checkpoints. They still exist if an earlier process was killed
-            // before it removed them.
+            // Left over if an earlier process was killed.
             remove_checkpoints(get_checkpoint_folder(block_folder));
             return false;
         }
@@ -204,8 +194,7 @@ private:
         end_progress_line();
     }
 
-    /// Appends the command that resumes the training to an error message, if a block or a
-    /// checkpoint is saved.
+    /// If a block or a checkpoint is saved.
     std::string append_resume_command(const std::string& error_message) const {
         std::error_code failed;
         bool has_saved_block = is_interrupted();

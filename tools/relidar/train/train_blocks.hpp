@@ -11,10 +11,8 @@
 
 namespace relidar::cli {
 
-/// Options for training in blocks.
 struct BlockTrainingOptions {
-    /// MPI processes that share the training. When a process has finished a block, it
-    /// trains the next free block.
+    /// Each process trains the next free block when it has finished one.
     const MpiProcessGroup& ranks;
     bool quiet = false;
     std::string resume;  ///< Command line that resumes the training. Error messages contain it.

@@ -41,9 +41,8 @@ std::string format_training_log(const std::vector<TrainProgress>& log_entries) {
     return text;
 }
 
-/// Writes the file log.jsonl during training. If the disk is full, prints a note only
-/// once. At the end, rewrite_log_if_write_failed() tries to write the complete file
-/// again.
+/// If the disk is full, prints a note only once. At the end,
+/// rewrite_log_if_write_failed() tries to write the complete file again.
 class LogFile {
 public:
     LogFile(fs::path path, const std::vector<TrainProgress>& earlier_entries) : path_(std::move(path)) {
@@ -73,8 +72,7 @@ private:
     bool lost_ = false;
 };
 
-/// Aligns the held-out scans to the scene and shows the progress. Prints how far the
-/// scans moved. After Ctrl-C, the scans keep their previous poses.
+/// Prints how far the scans moved. After Ctrl-C, the scans keep their previous poses.
 void align_held_out_scans_with_progress(Device& device, TrainedRun& run, bool quiet) {
     TerminalProgress progress(quiet);
     const HeldOutPoseReport placed = estimate_held_out_vehicle_poses(

@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Steps that the commands `train` and `demo` share. Each step shows a progress line and
-// stops after Ctrl-C.
+// Steps that `train` and `demo` share. Each shows a progress line and stops after Ctrl-C.
 #pragma once
 
 #include <filesystem>
@@ -11,57 +10,49 @@
 
 namespace relidar::cli {
 
-/// Prepares a log for training: registers scans, calibrates beams and finds moving
-/// objects, as the settings require. Shows the progress.
 /// @throws Error with exit code 130 after Ctrl-C
 void prepare_log_for_training_with_progress(LidarSequence& sequence, const TrainTestSplit& split,
                                             const Config& config, bool quiet,
                                             const ProcessGroup& process_group = {},
                                             StageTimes* stage_times = nullptr);
 
-/// Trains a scene and shows a progress line on stderr. Each progress report is also a
-/// JSON line in log.jsonl. A resumed training keeps the lines before its checkpoint.
-/// After Ctrl-C, training stops after the current iteration. If log.jsonl cannot be
-/// written, a note is printed and training continues.
+/// Each progress report is also a JSON line in log.jsonl. A resumed training keeps the
+/// lines before its checkpoint. If log.jsonl cannot be written, prints a note and
+/// continues.
 /// @param session this function sets its members `stop` and `note`
 TrainResult train_scene_with_progress(Device& device, const LidarSequence& sequence,
                                       const TrainTestSplit& split, const Config& config,
                                       const std::filesystem::path& run_folder, bool quiet,
                                       TrainSession session = {});
 
-/// Runs the steps between the training of a scene and of its ray-drop network. Aligns the
-/// held-out scans, learns the noise of intensities, and saves the run.
-/// @param stage_times receives the times of these stages: "place", "scatter" and "save"
+/// The steps between the training of a scene and of its ray-drop network. Saves the run.
+/// @param stage_times receives the times of "place", "scatter" and "save"
 /// @return `stopped` if the user interrupted; the results of these steps are then not
 /// saved
 TrainingEndReason align_held_out_scans_and_fit_intensity_noise(Device& device, TrainedRun& run, bool quiet,
                                                                StageTimes& stage_times);
 
-/// Trains the ray-drop network of a run and shows a progress line. The scans of the log
-/// must be loaded.
+/// The scans of the log must be loaded.
 /// @param session this function sets its members `progress`, `step`, `stop` and `note`
 /// @return `stopped` if the user interrupted the training
 TrainingEndReason train_drop_network_with_progress(Device& device, TrainedRun& run, bool quiet,
                                                    RayDropTrainingSession session = {});
 
-/// Returns the text of the progress line, such as "iteration 1200/30000  4.20 it/s  eta
-/// 1:54:00  loss 0.0123 (depth 0.01 intensity 0.002 drop 0.0003)".
+/// For example "iteration 1200/30000 4.20 it/s eta 1:54:00 loss 0.0123 (depth 0.01
+/// intensity 0.002 drop 0.0003)".
 std::string format_progress_line(const TrainProgress& progress);
 
-/// Returns the time of each training stage as a text, such as "read 3.1 s, register 10.2
-/// s, ...". Leaves out stages of less than 0.1 s.
+/// For example "read 3.1 s, register 10.2 s". Leaves out stages of less than 0.1 s.
 std::string format_stage_times(const StageTimes& stage_times);
-/// Appends the times of the stages to the file log.jsonl of the run.
 void append_stage_times_to_log(const std::filesystem::path& run_folder, const StageTimes& stage_times);
 
-/// These two functions write and read the file log.jsonl of a run. Reading skips invalid
-/// lines, because a killed process may leave an incomplete last line.
+/// log.jsonl of a run. Reading skips invalid lines, because a killed process may leave an
+/// incomplete last line.
 void write_training_log_file(const std::filesystem::path& run_folder,
                              const std::vector<TrainProgress>& log_entries);
 std::vector<TrainProgress> read_training_log_file(const std::filesystem::path& run_folder);
 
-/// Returns the number of the last iteration in log.jsonl, or 0 if the file contains no
-/// iteration.
+/// 0 if log.jsonl contains no iteration
 int read_last_logged_iteration(const std::filesystem::path& run_folder);
 
 }  // namespace relidar::cli
