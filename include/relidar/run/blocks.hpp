@@ -17,16 +17,12 @@
 
 namespace relidar {
 
-/// Section of the sensor's trajectory that is trained separately.
 struct TrajectoryBlock {
-    /// Begin and end of the section, measured along the trajectory from the start of the
-    /// log, metres.
+    /// Distances along the trajectory from the start of the log, metres.
     double begin_m = 0.0, end_m = 0.0;
-    /// Indices in LidarSequence::frames of the sweeps recorded in this section, including
-    /// held-out sweeps.
+    /// Indices in LidarSequence::frames, including held-out sweeps.
     std::vector<int> recorded_frames;
-    /// Indices of the training frames that train this section: the sweeps recorded in the
-    /// section or near it, within the distance BlockConfig::halo_m.
+    /// Training frames in the section, or within BlockConfig::halo_m of it.
     std::vector<int> train;
 };
 
@@ -36,29 +32,25 @@ struct TrajectoryBlock {
 std::vector<TrajectoryBlock> plan_training_blocks(const LidarSequence& sequence, const TrainTestSplit& split,
                                                   const BlockConfig& options);
 
-/// Part of a log that is used to train one block. It contains the training frames of the
-/// block, the held-out frames recorded in the block, and the boxes near these frames.
+/// Training frames of a block, held-out frames recorded in it, and boxes near these
+/// frames.
 struct BlockTrainingLog {
     LidarSequence sequence;
     TrainTestSplit split;
-    /// Settings for training this block. They do not divide the log into blocks again,
-    /// and they list only the actor tracks of this block.
+    /// They do not divide the log again, and list only the actor tracks of this block.
     Config config;
 };
-/// Copies the frames and boxes that are needed to train one block from a log.
 /// @param config settings of the complete training
 BlockTrainingLog copy_frames_and_boxes_of_block(const LidarSequence& sequence, const TrainTestSplit& split,
                                                 const TrajectoryBlock& block, const Config& config);
 
-/// Removes all background surfels that belong to other blocks. A surfel belongs to the
-/// block that contains the sweep nearest to the surfel.
+/// A surfel belongs to the block that contains the nearest sweep.
 void remove_surfels_of_other_blocks(Scene& scene, const LidarSequence& sequence,
                                     const std::vector<TrajectoryBlock>& blocks, std::size_t block_index);
 
 /// Joins trained blocks to one run. Background surfels stay in the files of the blocks.
-/// Each actor is copied from the block in which the most training frames saw this actor.
-/// The corrected pose of each sweep is copied from the block in which the sweep was
-/// recorded.
+/// Each actor comes from the block in which the most training frames saw it, each
+/// corrected pose from the block that recorded the sweep.
 /// @param run run with the prepared log and without a scene
 /// @param run_folders [blocks] run folders of the blocks
 /// @throws DataError if a run folder has a missing, truncated or inconsistent file

@@ -25,19 +25,17 @@
 
 namespace relidar {
 
-/// State of a training after an iteration.
 struct Checkpoint {
     int iteration = 0;  ///< Number of the last completed iteration.
     std::map<std::string, std::string> texts;
     std::vector<NamedArray> arrays;
 
-    /// Returns the array or the text with this name.
     /// @throws DataError if the name does not exist
     const NamedArray& get_array(const std::string& name) const;
     const std::string& get_text(const std::string& name) const;
 };
 
-/// Returns the name of a number type in numpy, for example "f4" for float.
+/// For example "f4" for float.
 template <class T>
 constexpr const char* get_numpy_dtype() {
     static_assert(std::is_arithmetic_v<T> && (sizeof(T) == 4 || sizeof(T) == 8));
@@ -46,7 +44,7 @@ constexpr const char* get_numpy_dtype() {
     else return sizeof(T) == 4 ? "u4" : "u8";
 }
 
-/// Refers to the first n values of a device array. The array may be longer.
+/// The first n values of a device array, which may be longer.
 template <class T>
 struct ArrayPrefix {
     Array<T>& array;
@@ -76,27 +74,23 @@ public:
     void operator()(const std::string& name, const ArrayPrefix<T>& first) {
         (*this)(name, first.array.download(first.n));
     }
-    /// Stores surfels as one array per group of parameters, for example name/mean, [n,3].
+    /// One array per group of parameters, for example name/mean, [n,3].
     void operator()(const std::string& name, const SurfelArrays& surfels);
 
 private:
     Checkpoint& checkpoint_;
 
-    /// Copies the values of an array into the checkpoint.
     void copy_array_into_checkpoint(const std::string& name, const char* dtype,
                                     std::vector<std::size_t> shape, const void* values);
 };
 
-/// Copies the state of a training back from a checkpoint, with the same calls as
-/// CheckpointWriter. Host vectors are resized to the stored length. Device arrays must
-/// already have the right length.
-/// @throws DataError if an array is missing or has the wrong shape. The message names the
-/// array.
+/// Restores a state with the same calls as CheckpointWriter. Host vectors are resized to
+/// the stored length. Device arrays must already have the right length.
+/// @throws DataError naming an array that is missing or has the wrong shape
 class CheckpointReader {
 public:
     explicit CheckpointReader(const Checkpoint& checkpoint) : checkpoint_(checkpoint) {}
 
-    /// Restores a number, a host array [n] or a device array [n] from the checkpoint.
     template <class T>
     void operator()(const std::string& name, T& value) const requires std::is_arithmetic_v<T> {
         copy_array_bytes(get_array_of_type_and_shape(name, get_numpy_dtype<T>(), {}), &value);
@@ -121,15 +115,14 @@ public:
         surfels.upload(read_surfels(name, surfels.n));
     }
 
-    /// Returns the stored surfels as host arrays. Reads their number from the checkpoint.
+    /// As host arrays; the checkpoint has their number.
     Surfels read_all_surfels(const std::string& name) const;
 
 private:
     const Checkpoint& checkpoint_;
 
-    /// Returns the stored array with this name after checking its type and shape.
-    /// Variants: get_array_of_any_length() accepts any length, read_surfels() returns the
-    /// arrays of n surfels, copy_array_bytes() copies all bytes.
+    /// @throws DataError if type or shape differ. get_array_of_any_length() accepts any
+    /// length.
     const NamedArray& get_array_of_type_and_shape(const std::string& name, const char* dtype,
                                                   const std::vector<std::size_t>& shape) const;
     const NamedArray& get_array_of_any_length(const std::string& name, const char* dtype) const;
@@ -137,35 +130,29 @@ private:
     static void copy_array_bytes(const NamedArray& array, void* destination);
 };
 
-/// Checks that all stored numbers are finite.
 /// @throws DataError naming the array and row of the first number that is not finite
 void require_finite_checkpoint_arrays(const Checkpoint& checkpoint);
 
-/// Writes a checkpoint file. The file appears only when it is complete.
+/// The file appears only when it is complete.
 /// @throws DataError if the file cannot be written
 void write_checkpoint(const std::filesystem::path& path, const Checkpoint& checkpoint);
-/// Reads a checkpoint file. Checks its format, version, sizes and checksum, and that all
-/// values are finite.
-/// @throws DataError with the reason if a check fails
+/// @throws DataError if format, version, sizes or checksum are wrong or a value is not
+/// finite
 Checkpoint read_checkpoint(const std::filesystem::path& path);
 
-/// Lists the checkpoint files of a folder, oldest first, for example
-/// iteration_00000400.safetensors. Returns an empty list if the folder does not exist.
+/// Oldest first, for example iteration_00000400.safetensors. Empty without the folder.
 std::vector<std::filesystem::path> list_checkpoints(const std::filesystem::path& folder);
-/// Writes a checkpoint into a folder and creates the folder if needed. Then removes older
-/// checkpoints, so that at most `max_checkpoints` remain. Also removes checkpoints of
-/// later iterations, because they belong to an abandoned training. Files are removed only
-/// after the new checkpoint is on disk.
+/// Creates the folder if needed. Then removes older checkpoints, so that at most
+/// `max_checkpoints` remain, and those of later iterations, because they belong to an
+/// abandoned training.
 /// @throws DataError if the file cannot be written
 void save_checkpoint(const std::filesystem::path& folder, const Checkpoint& checkpoint, int max_checkpoints);
-/// Loads the newest readable checkpoint of a folder.
-/// @param report_unreadable function that receives one line of text about each unreadable
-/// checkpoint
+/// @param report_unreadable receives one line of text about each unreadable checkpoint
 /// @return nullopt if there is no checkpoint
 /// @throws DataError if there are checkpoints but none is readable
 std::optional<Checkpoint> load_newest_checkpoint(
     const std::filesystem::path& folder, const std::function<void(const std::string&)>& report_unreadable);
-/// Removes all checkpoints of a folder. Also removes the folder if it has no other files.
+/// Also removes the folder if it has no other files.
 void remove_checkpoints(const std::filesystem::path& folder);
 
 }  // namespace relidar

@@ -18,8 +18,7 @@
 
 namespace relidar {
 
-/// Initial pose and speed of a new actor. The actor moves at constant speed along x of
-/// its initial box frame, or along a path.
+/// The actor moves at constant speed along x of its initial box frame, or along a path.
 struct NewActorMotion {
     /// Pose of the box centre at the start of the log. The dataset's world frame is
     /// relidar's world frame, shifted by world_offset_m.
@@ -33,7 +32,6 @@ struct NewActorMotion {
     double unseen_m = 0.0;
 };
 
-/// Position, heading and speed of an actor on the ground.
 struct GroundPlacement {
     glm::dvec2 dataset_m{0.0};  ///< x, y of the box centre in the dataset's world frame, [2] metres.
     /// Heading in the dataset's world frame, radians. Default: heading of the log's
@@ -45,15 +43,14 @@ struct GroundPlacement {
     std::optional<double> clearance_m = {};
 };
 
-/// Read-only view of a scene and its log.
 struct SceneWithLogView {
     const Scene& scene;
     const LidarSequence& sequence;
 };
 
-/// Returns the height of the bottom of an actor's box above the ground, metres. The
-/// height is the median along the track. Many labelled boxes begin above the road, so a
-/// copy of the actor must be placed at the same height.
+/// Height of the bottom of an actor's box above the ground, metres: the median along the
+/// track. Many labelled boxes begin above the road, so a copy must be placed at the same
+/// height.
 /// @return nullopt if the actor's scene has no ground below the box
 /// @throws UsageError if no instance has this track
 std::optional<double> measure_ground_clearance(const SceneWithLogView& actor_scene, const std::string& track);
@@ -89,20 +86,18 @@ SceneWithLog move_track(SceneWithLog scene_and_log, const std::string& track,
 /// appears earlier. The actor is absent outside the time interval of the shifted track.
 SceneWithLog delay_track(SceneWithLog scene_and_log, const std::string& track, double delay_s);
 
-/// Completes the unobserved sides of vehicles by mirrored surfels, if their tracks differ
-/// from those before the edits (replace_unobserved_by_mirrored_surfels()). An actor that
-/// was moved there and back keeps its surfels and gets exactly its old track.
+/// Mirrors surfels to the unobserved sides of vehicles whose tracks differ from those
+/// before the edits. An actor that was moved there and back keeps its surfels and gets
+/// exactly its old track.
 /// @param boxes_before boxes of the log before all edits
 SceneWithLog complete_moved_actors(SceneWithLog scene_and_log, const std::vector<BoxTrack>& boxes_before);
 
-/// Returns a message if an edit has made an actor absent in some frames. The message
-/// contains the number of these frames. Returns an empty string if there are no such
-/// frames, or if the edited log has no such track.
+/// Says in how many frames an edit has made an actor absent. Empty if there are none, or
+/// if the edited log has no such track.
 std::string describe_frames_without_actor(const BoxTrack& original_box, const LidarSequence& edited_sequence);
 
-/// Replaces the trajectory of an actor. Between the given poses, positions are
-/// interpolated linearly and rotations by slerp. The actor is absent before the first and
-/// after the last pose.
+/// Between the poses, positions are interpolated linearly and rotations by slerp. Before
+/// the first and after the last pose, the actor is absent.
 /// @param dataset_from_box [>= 2] poses of the box centre in the dataset's world frame,
 /// with times in the time of the log (LidarFrame::time_s)
 /// @throws DataError for fewer than two poses, times that do not increase, or values that
@@ -121,23 +116,20 @@ SceneWithLog copy_track(SceneWithLog scene_and_log, const std::string& track, co
 SceneWithLog insert_track(SceneWithLog scene_and_log, const SceneWithLog& source_scene,
                           const std::string& track, const NewActorMotion& start);
 
-/// Removes all actors, so that only the background is left. The next function,
-/// remove_background(), keeps the actors and leaves a background without surfels.
+/// Removes all actors. remove_background() keeps the actors and leaves no surfels of the
+/// background.
 SceneWithLog remove_all_actors(SceneWithLog scene_and_log);
 SceneWithLog remove_background(SceneWithLog scene_and_log);
 
-/// Resolution of an actor's model: its number of surfels, and the number of LiDAR rays
-/// that hit the actor in the sweep in which it was nearest to the LiDAR.
+/// Surfels of an actor's model, and rays that hit the actor in the sweep nearest to it.
 struct ActorModelResolution {
-    /// Smallest distance between the LiDAR and the box centre, over all frames that have
-    /// both, metres.
+    /// Between the LiDAR and the box centre, over all frames that have both, metres.
     double nearest_m = 0.0;
     double time_s = 0.0;   ///< Time of the frame with the smallest distance.
     std::size_t rays = 0;  ///< Number of rays that hit the box in the sweep with the smallest distance.
     std::size_t surfels = 0;
 
-    /// Returns true if the actor has too few surfels per ray and therefore looks like
-    /// separate blobs. The reason is that its training data was recorded from a larger
+    /// The actor then looks like separate blobs, because it was recorded from a larger
     /// distance.
     bool has_too_few_surfels() const { return rays > 8 * surfels; }
 };
@@ -148,10 +140,8 @@ struct ActorModelResolution {
 ActorModelResolution compute_actor_model_resolution(const SceneWithLog& scene_and_log,
                                                     const std::string& track, int lidar_index = 0);
 
-/// Compares the number of an actor's surfels with the number of given rays that hit its
-/// box. All rays are fired from one pose of the sensor.
-/// @param ray_origins [n,3] origins of the rays, sensor frame
-/// @param ray_directions [n,3] directions of the rays, sensor frame
+/// For given rays from one pose of the sensor.
+/// @param ray_origins, ray_directions [n,3] sensor frame
 /// @param box_from_sensor pose of the sensor in the frame of the box
 /// @param size_m [3] size of the box, metres
 ActorModelResolution compute_actor_model_resolution(std::span<const glm::vec3> ray_origins,
@@ -159,10 +149,8 @@ ActorModelResolution compute_actor_model_resolution(std::span<const glm::vec3> r
                                                     const Pose& box_from_sensor, const glm::dvec3& size_m,
                                                     std::size_t n_surfels);
 
-/// Describes the sides of an actor that the log has not observed. Completed sides are
-/// mirror images. The remaining sides have no surfels, so rays pass through them. Returns
-/// an empty text if all sides were observed, or if it is unknown.
-/// @param track track of an actor of the scene
+/// Completed sides are mirror images. The remaining sides have no surfels, so rays pass
+/// through them. Empty if all sides were observed, or if it is unknown.
 std::string describe_unobserved_sides(const Scene& scene, const std::string& track);
 
 /// Reads a trajectory from a CSV file. A header line names the columns in any order:

@@ -20,10 +20,8 @@
 
 namespace relidar {
 
-/// Name of the file with the surfels in a run folder.
 inline constexpr const char* kModelFile = "model.safetensors";
 
-/// Entry in the edit history of a run.
 struct EditHistoryEntry {
     std::string run;   ///< Absolute path of the run that was edited.
     std::string edit;  ///< Edit as it was typed on the command line, for example "--move 0:0,3.5,0".
@@ -51,23 +49,20 @@ struct TrainedRun {
     /// Network that corrects drop probabilities. Empty if no network was trained.
     RayDropNetwork drop_network{};
     ObservedVoxelSet coverage{};  ///< Space that the training scans have observed. Empty if unknown.
-    /// Classes of the background in relidar's world frame. Empty if the log has no
-    /// labelled points.
+    /// In relidar's world frame. Empty if the log has no labelled points.
     SurfaceClassMap classes{};
-    /// Scatter of measured intensities for each LiDAR, [lidars]. Empty if unknown.
+    /// [lidars]; empty if unknown
     std::vector<IntensityScatterModel> intensity_scatter{};
-    /// True if the poses of held-out (test) scans have been corrected by aligning these
-    /// scans with the trained scene. Resumed training then skips this step.
+    /// Held-out scans were aligned with the trained scene. Resumed training skips this
+    /// step.
     bool held_out_placed = false;
-    /// Kinds of poses that training has corrected, in the format of train.refine_poses.
-    /// Empty if all poses are those of the log.
+    /// In the format of train.refine_poses. Empty if all poses are those of the log.
     std::string refined_poses{};
 
-    /// Returns the scene and the tracks of its actors as one object for edit functions.
     /// Example: run.replace_driving_scene(remove_track(run.copy_driving_scene(), "0")).
     SceneWithLog copy_driving_scene() const { return {scene, sequence}; }
-    /// Replaces the scene and the log. Completes actors whose tracks differ from those of
-    /// this run (complete_moved_actors()).
+    /// Completes actors whose tracks differ from those of this run
+    /// (complete_moved_actors()).
     void replace_driving_scene(SceneWithLog driving_scene);
 };
 
@@ -79,12 +74,12 @@ struct TrainedRun {
 /// @throws DataError if the folder cannot be created or written, or if an option that is
 /// not a setting differs from its preset value
 void save_run(const TrainedRun& run);
-/// Writes a run like save_run() into a folder that contains an earlier run.
+/// Like save_run(), into a folder that contains an earlier run.
 /// @param remove_earlier_files called after all new files are written under temporary
 /// names and before they get their final names
 void overwrite_run(const TrainedRun& run, const std::function<void()>& remove_earlier_files);
-/// Writes a run and deletes everything else in an existing folder. The replacement is
-/// atomic if the file system can exchange two folders in one operation.
+/// Deletes everything else in the folder. Atomic if the file system can exchange two
+/// folders in one operation.
 void replace_folder_by_run_atomically(const TrainedRun& run);
 
 /// Loads the log that config.dataset describes. Uses a rolling shutter if config.sensor
@@ -94,7 +89,6 @@ void replace_folder_by_run_atomically(const TrainedRun& run);
 /// @throws errors of load_sequence()
 LidarSequence load_log(const Config& config, const ProgressReporter& progress = {}, int max_scans = 0);
 
-/// Loads a run folder.
 /// @throws DataError naming the file that is missing, truncated or inconsistent
 TrainedRun load_run(const std::filesystem::path& folder);
 
@@ -106,43 +100,36 @@ TrainedRun load_run(const std::filesystem::path& folder);
 /// @throws DataError if an array has the wrong shape or a value that is not finite, or if
 /// the file cannot be written
 void save_scene_to_model_file(const std::filesystem::path& path, const Scene& scene);
-/// Loads a scene from a file that save_scene_to_model_file() has written.
 /// @throws DataError naming array and row if an array is missing, has the wrong shape, or
 /// has a value that is not finite
 Scene load_scene_from_model_file(const std::filesystem::path& path);
 
-/// Loads the background surfels of a block from its file.
 /// @throws DataError if the file is invalid or its number of surfels differs from `block`
 Surfels load_block_surfels(const SceneBlock& block);
-/// Returns a copy of the scene whose background also contains the surfels of the selected
-/// blocks. All other blocks are left out. The background is sorted in kd-tree order.
+/// The background also contains the surfels of the selected blocks, in kd-tree order.
+/// Other blocks are left out.
 /// @param block_indices indices in Scene::blocks
 /// @throws DataError if a block file is invalid
 Scene copy_scene_with_loaded_blocks(const Scene& scene, const std::vector<std::size_t>& block_indices);
-/// Returns a copy of the scene with the surfels of all blocks in memory. Use this copy
-/// for functions that need every surfel.
+/// For functions that need every surfel.
 Scene copy_scene_with_all_blocks_loaded(const Scene& scene);
 
-/// Saves a ray-drop network as a safetensors file. load_ray_drop_network() loads it.
+/// Saves or loads a ray-drop network as a safetensors file.
 /// @throws DataError naming file and array, also for numbers that are not finite
 void save_ray_drop_network(const std::filesystem::path& path, const RayDropNetwork& network);
 RayDropNetwork load_ray_drop_network(const std::filesystem::path& path);
 
-/// Converts the models and instances of a scene to JSON text. parse_scene_layout_json()
-/// reads this text into a scene that already has its surfels.
-/// @param error_location name of the text in the error messages of
-/// parse_scene_layout_json()
-/// @throws DataError if a field is missing or does not match the surfels of the scene.
-/// The message names the field.
+/// Converts the models and instances to JSON, and back into a scene that has its surfels.
+/// @param error_location name of the text in error messages
+/// @throws DataError naming a field that is missing or does not match the surfels
 std::string format_scene_layout_json(const Scene& scene);
 void parse_scene_layout_json(const std::string& text, const std::string& error_location, Scene& scene);
 
-/// Returns true if a path looks like a run folder: it contains a scene.json or a model
-/// file.
+/// It contains a scene.json or a model file.
 bool is_run_folder(const std::filesystem::path& path);
 
-/// Creates a folder and a test file in this folder. Call this function before long work,
-/// so that an unwritable folder is reported at the start.
+/// Creates a folder and a test file in it, to report an unwritable folder before long
+/// work.
 /// @throws DataError if the folder or the file cannot be created
 void create_folder_and_require_writable(const std::filesystem::path& folder);
 

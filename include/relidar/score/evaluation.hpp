@@ -20,13 +20,12 @@
 
 namespace relidar {
 
-/// Numbers of rays with a measured return, counted in bins of two quantities: the
-/// measured range, and the error of the rendered range.
+/// Rays with a measured return by measured range and by error of the rendered range.
 struct RangeErrorCounts {
-    /// limits of the bins of the real range
+    /// of the real range
     static constexpr std::array<double, 7> kRangeEdges_m{0.0, 10.0, 20.0, 30.0, 40.0, 60.0, 80.0};
     static constexpr std::array<double, 3> kErrorEdges_m{0.05, 0.2, 1.0};
-    /// Number of error bins: edges + 1, plus a last bin for rays without rendered return.
+    /// edges + 1, plus a last bin for rays without rendered return
     static constexpr std::size_t kBands = kErrorEdges_m.size() + 2;
 
     std::array<std::array<double, kBands>, kRangeEdges_m.size() - 1> rays{};
@@ -46,17 +45,15 @@ struct ActorScore {
     MetricValues metrics;  ///< Metrics that are not defined are left out.
 };
 
-/// A frame that was rendered with the rays of the real scan, and its metrics.
 struct ScoredFrame {
     int frame = 0;  ///< frame number of the dataset
     int lidar = 0;  ///< index of its LiDAR
     double time_s = 0.0;
     std::optional<SweepStart> start = {};  ///< azimuth and time of the sweep's start; empty if default
-    /// Number of traced rays. It differs from the number of pixels if points are binned
-    /// into an image.
+    /// Differs from the number of pixels if points are binned into an image.
     std::size_t n_rays = 0;
-    /// Rendered scan. If many frames are evaluated, only the middle frame keeps its scan.
-    /// All other frames keep only the rendering time.
+    /// Only the middle frame of an evaluation keeps its scan, the others only the
+    /// rendering time.
     RenderedScan rendered;
     RangeImage real;  ///< Measured image. Only frames that keep the rendered scan also keep this image.
     MetricValues metrics;
@@ -64,107 +61,90 @@ struct ScoredFrame {
     std::vector<ActorScore> actors;  ///< Scores of the moving boxes that are present.
 };
 
-/// Measured and simulated points in a moving box.
 struct MovingBoxPoints {
-    /// [n,3] points in the frame of the box at the time at which each point was measured.
+    /// [n,3] frame of the box at the time at which each point was measured
     std::vector<glm::dvec3> real_m, simulated_m;
-    /// Range errors, simulated minus real. They are computed for rays that return in both
-    /// scans and whose real point is in the box.
+    /// Simulated minus real, for rays that return in both scans with the real point in
+    /// the box.
     std::vector<double> range_error_m;
-    /// Numbers of rays that hit the box: in both scans, only in the real scan, and only
-    /// in the simulated scan.
+    /// Rays that hit the box: in both scans, only in the real scan, only in the simulated
+    /// scan.
     std::size_t n_both = 0, n_missed = 0, n_false = 0;
 };
 
-/// Returns the measured and simulated points in a box that is enlarged by 0.1 m. Skips
-/// the lowest 0.15 m, which contains ground points. Also counts the rays that hit the
-/// box. For these counts, the box is enlarged by 0.3 m.
-/// @param rendered  rendered image
+/// Points in a box that is enlarged by 0.1 m, without the lowest 0.15 m (ground). Counts
+/// the rays that hit the box enlarged by 0.3 m.
 /// @param point_ranges_m [n] ranges at which the simulated points are placed
-/// @param real  measured image of the same rays
 /// @param sweep  the sweep of both images
 /// @param box  a box that is present at the time of the sweep
 MovingBoxPoints collect_points_in_box(const RangeImage& rendered, const std::vector<float>& point_ranges_m,
                                       const RangeImage& real, const LidarSequence& sequence,
                                       const SweepTiming& sweep, const BoxTrack& box);
 
-/// Callback that receives each frame with its images after its metrics were computed. The
-/// callback may add metrics.
+/// Called with the images of a frame after its metrics were computed. It may add metrics.
 using ScoredFrameCallback = std::function<void(ScoredFrame&)>;
 
-/// Scored frames and their mean metrics.
 struct EvaluationResult {
     std::string title = "rendered";  ///< What was scored: "rendered" or the name of a baseline.
     std::vector<ScoredFrame> frames;
     MetricValues mean;
-    /// Scores of each moving box over all frames. Boxes with the highest fraction of
-    /// range errors above 0.3 m come first. Numbers of points are sums over the frames.
-    /// Other metrics are means, weighted by the number of real points in each frame.
+    /// Over all frames. Boxes with the highest fraction of range errors above 0.3 m come
+    /// first. Numbers of points are sums, other metrics are means weighted by the real
+    /// points of a frame.
     std::vector<ActorScore> actors;
     MetricValues kernel_ms;  ///< Mean time of a kernel launch in milliseconds, by kernel name.
     double trace_ms = 0.0;   ///< Mean time to render a frame, including transfers to and from the device.
     double mrays_per_s = 0.0;
 };
 
-/// Copies scans of a log into the frames of a run that was trained on this log. The poses
-/// of the run do not change.
+/// Copies scans of the log on which a run was trained. The poses of the run do not
+/// change.
 /// @param frame_indices  indices into TrainedRun::sequence of the frames
 /// @throws DataError if a frame is missing in the log, or has another time in the log
 void copy_scans_into_run(TrainedRun& run, const std::vector<int>& frame_indices, const LidarSequence& log);
 
-/// Renders a frame at the pose of the real sensor and computes its metrics. With the
-/// native grid, the rays are those of the real scan. With another grid, the simulated
-/// points are binned in the same way as the real points.
-/// @param sequence  sequence of the renderer
-/// @param frame  the frame, with its scan
+/// Renders a frame at the pose of the real sensor. With the native grid, the rays are
+/// those of the real scan. With another grid, the simulated points are binned like the
+/// real points.
 /// @param sensor_offset  pose of the sensor that made frame.scan, in the frame of the
 /// log's sensor
 ScoredFrame render_and_score_frame(ScanRenderer& renderer, const Config& config,
                                    const LidarSequence& sequence, const LidarFrame& frame,
                                    const Pose& sensor_offset = {});
 
-/// Renders many frames and computes their metrics. Memory use does not grow with the
-/// number of frames.
+/// Memory use does not grow with the number of frames.
 /// @param frame_indices  indices of the frames in `sequence`
 /// @param progress  called before each frame and after the last one; if it throws, the
 /// evaluation stops
-/// @param on_frame  called for each scored frame
 /// @throws DataError if a file with LPIPS weights is set and cannot be read
 EvaluationResult evaluate_frames(ScanRenderer& renderer, const Config& config, const LidarSequence& sequence,
                                  const std::vector<int>& frame_indices, const ProgressReporter& progress = {},
                                  const ScoredFrameCallback& on_frame = {});
 
-/// Computes the mean metrics of scored frames.
-/// @param kernel_times  kernel times of the renderer that rendered the frames
+/// @param kernel_times  of the renderer that rendered the frames
 EvaluationResult summarise_evaluation(std::vector<ScoredFrame> scored_frames,
                                       const KernelTimes& kernel_times);
 
-/// Returns the mean time of a kernel launch in milliseconds, by kernel name.
+/// By kernel name.
 MetricValues compute_mean_kernel_ms(const KernelTimes& kernel_times);
 
-/// Returns how the baseline with this name moves points in moving boxes. A baseline
-/// predicts a scan from the points of the neighbouring training scans. "nearest" keeps
-/// points where they were measured. "nearest-actors" moves points in a box together with
-/// the box.
+/// A baseline predicts a scan from the points of the neighbouring training scans.
+/// "nearest" keeps points where they were measured, "nearest-actors" moves points in a
+/// box with it.
 /// @throws UsageError for another name
 BoxPointMotion parse_box_point_motion_of_baseline(const std::string& baseline_name);
-/// Computes the metrics of a baseline on the held-out frames of a log.
-/// @param baseline_name  "nearest" or "nearest-actors"
-/// @param sequence  the log, with its scans
+/// On the held-out frames of a log with its scans.
 /// @param progress  called before each frame and after the last one
-/// @param on_frame  called for each scored frame
 /// @throws UsageError for another name
 EvaluationResult evaluate_baseline(const std::string& baseline_name, const Config& config,
                                    const LidarSequence& sequence, const TrainTestSplit& split,
                                    const ProgressReporter& progress = {},
                                    const ScoredFrameCallback& on_frame = {});
 
-/// Reads the file with LPIPS weights, if the user has set one. Called before a long
-/// evaluation, so that a damaged file is reported at the start.
+/// If the user has set a file, reads it before a long evaluation.
 /// @throws DataError if the file is damaged or an array is missing
 void require_readable_lpips_weights();
-/// Returns the path of the file with LPIPS weights, from the environment variable
-/// RELIDAR_LPIPS_WEIGHTS. If the path is empty, LPIPS is not computed.
+/// Environment variable RELIDAR_LPIPS_WEIGHTS. If empty, LPIPS is not computed.
 std::string find_lpips_weights_path();
 
 }  // namespace relidar

@@ -43,10 +43,9 @@ struct MetricOptions {
     const Lpips* lpips = nullptr;  ///< Null: the LPIPS metrics (peer/*_lpips) are not computed.
 };
 
-/// Set of pixels of a real image for which separate metrics are computed.
+/// Pixels of a real image with separate metrics.
 struct PixelRegion {
-    /// Prefix of the region's metric names. For example, "moving_boxes" gives
-    /// "moving_boxes/depth_medae_m".
+    /// For example, "moving_boxes" gives "moving_boxes/depth_medae_m".
     std::string name;
     std::vector<bool> pixels;  ///< [rows*columns] true for pixels in the region
 };
@@ -92,18 +91,13 @@ MetricValues evaluate_regions(const RangeImage& rendered, const RangeImage& real
 std::vector<PixelRegion> make_evaluation_regions(const RangeImage& real,
                                                  const std::vector<bool>& moving_pixels);
 
-/// Returns for each ray whether its return is inside a moving box that the dataset
-/// labelled.
+/// True for returns inside a moving box that the dataset labelled.
 /// @param sensor_offset  pose of the sensor that made the scan, in the frame of the log's
 /// sensor
-/// @return [n] true for rays with such a return
+/// @return [n] rays
 std::vector<bool> mask_returns_in_labelled_movers(const LidarSequence& sequence, const LidarFrame& frame,
                                                   const Pose& sensor_offset = {});
-/// Returns for each ray whether its return is inside a moving box that the dataset does
-/// not label. relidar has found these boxes in the scans.
-/// @param sensor_offset  pose of the sensor that made the scan, in the frame of the log's
-/// sensor
-/// @return [n] true for rays with such a return
+/// Same for moving boxes that relidar has found in the scans.
 std::vector<bool> mask_returns_in_discovered_movers(const LidarSequence& sequence, const LidarFrame& frame,
                                                     const Pose& sensor_offset = {});
 
@@ -124,25 +118,21 @@ MetricValues evaluate_points(const RangeImage& rendered, const RangeImage& real,
 MetricValues compute_surface_class_metrics(const std::vector<std::int32_t>& rendered_classes,
                                            std::span<const SurfaceClass> real_classes);
 
-/// A rendered image, the real image of the same rays, and the regions to score.
 struct RangeImageComparison {
     const RangeImage* rendered = nullptr;
     const RangeImage* real = nullptr;
     std::vector<PixelRegion> regions;
-    /// [rows*columns] ranges at which the points of `rendered` are placed. Empty if
-    /// points are not scored.
+    /// [rows*columns] ranges of the points of `rendered`; empty if points are not scored
     std::vector<float> point_range_m = {};
 };
-/// Computes the metrics of many frames in parallel on all cores. Calls evaluate() and
-/// evaluate_regions() for each frame. If a comparison has point ranges, regions are
-/// scored with these ranges, and evaluate_points() is called, too.
+/// Calls evaluate() and evaluate_regions() for each frame, in parallel. If a comparison
+/// has point ranges, scores regions with them and calls evaluate_points(), too.
 /// @return [n] metrics of each comparison
 std::vector<MetricValues> evaluate_all(const std::vector<RangeImageComparison>& comparisons,
                                        const MetricOptions& options = {});
 
-/// Motion of points in moving boxes, for baselines. `stay`: points stay at their measured
-/// positions. `follow`: points move with their boxes, and are left out if the box has
-/// left the scene.
+/// `stay`: points in moving boxes stay at their measured positions. `follow`: they move
+/// with their boxes, and are left out if the box has left the scene.
 enum class BoxPointMotion { stay, follow };
 
 /// Computes the baseline: moves the returns of the nearest earlier and later training

@@ -14,23 +14,21 @@
 
 namespace relidar {
 
-/// A row of images in the report: the real image, the rendered image and their
-/// difference.
+/// the real image, the rendered image and their difference
 struct ReportFigure {
     std::string title;
     std::vector<std::pair<std::string, Image>> images;  ///< caption and image
 };
 struct ReportCurve {
-    /// Name of the curve, for example "loss/total". Curves with the same text before '/'
-    /// are drawn in one chart.
+    /// For example "loss/total". Curves with the same text before '/' are drawn in one
+    /// chart.
     std::string name;
     std::vector<double> x, y;
 };
-/// A point cloud in a 3D view of the report.
 struct ReportCloud {
     std::string name;  ///< name, for example "real"
-    /// [n] positions in the sensor frame: x forward, y left, z up, metres. Points beyond
-    /// 300 m are left out.
+    /// [n] sensor frame: x forward, y left, z up, metres. Points beyond 300 m are left
+    /// out.
     std::vector<glm::vec3> position_m;
     std::vector<float> intensity;  ///< [n] 0..1
     std::vector<float> error_m;    ///< [n] range error; NaN if unknown
@@ -41,7 +39,7 @@ struct ReportView {
     std::string title;
     std::vector<ReportCloud> clouds;
 };
-/// A chart of stacked bars: each row shows fractions that sum to 1.
+/// each row shows fractions that sum to 1
 struct ReportBars {
     struct Row {
         std::string name;           ///< name, for example "0 to 10 m"
@@ -53,50 +51,43 @@ struct ReportBars {
     std::vector<std::string> bands;  ///< Names of at most 5 bands, ordered from good to bad.
     std::vector<Row> rows;
 };
-/// A table of texts. The first column is aligned to the left.
+/// The first column is aligned to the left.
 struct ReportTable {
     std::string title;
     std::string note;  ///< One line of text that explains the table.
-    /// [rows][columns] the first row contains the titles of the columns
+    /// [rows][columns] the first row contains the titles
     std::vector<std::vector<std::string>> rows;
 };
-/// An important metric that the report shows first, with a readable name.
 struct ReportKeyMetric {
     std::string metric;  ///< name of the metric, for example "strict/depth_medae_m"
     std::string name;    ///< name in the report, for example "Typical range error, m"
     std::string hint;    ///< a line that explains the metric
 };
-/// Contents of a self-contained HTML page, which needs no other file and no network. The
-/// summary, views, figures, curves, bars, tables and key metrics come first. All other
-/// parts are collapsed at the end. The page contains a script only if it has views.
+/// The summary, views, figures, curves, bars, tables and key metrics come first. All
+/// other parts are collapsed at the end. The page contains a script only if it has views.
 struct Report {
     std::string title;
-    /// One sentence that states what was done, the quality of the result and the
-    /// duration.
+    /// One sentence: what was done, the quality of the result and the duration.
     std::string summary;
     std::vector<ReportView> views;
     std::vector<ReportBars> bars;
-    /// Tables. A table without rows below the titles is left out.
+    /// A table without rows below the titles is left out.
     std::vector<ReportTable> tables;
-    /// Metrics to show first. A metric that is not in `metrics` is left out.
+    /// A metric that is not in `metrics` is left out.
     std::vector<ReportKeyMetric> key_metrics;
     std::vector<std::pair<std::string, std::string>> facts;  ///< device, sizes, times
-    /// Curves to draw. The scale is logarithmic if all values are positive and span more
-    /// than a factor of 4.
+    /// Logarithmic if all values are positive and span more than a factor of 4.
     std::vector<ReportCurve> curves;
-    /// True if all columns of `metrics` were computed on the same scans. Otherwise the
-    /// columns cannot be compared, so the report does not highlight the best one.
+    /// Otherwise the columns cannot be compared, so the report does not highlight the
+    /// best one.
     bool same_scans = true;
-    /// Columns of the table of metrics: the title of the column and its values. Values
-    /// are grouped by the part of their name before '/'.
+    /// Title of the column and its values, grouped by the part of their name before '/'.
     std::vector<std::pair<std::string, MetricValues>> metrics;
-    /// Tables of kernel times: the title of the table and the milliseconds of each
-    /// kernel. Percentages refer to the entry "total", or to the sum if no such entry
-    /// exists.
+    /// Title of the table and milliseconds of each kernel. Percentages refer to the entry
+    /// "total" or, if it is missing, to the sum.
     std::vector<std::pair<std::string, MetricValues>> timings_ms;
     std::vector<ReportFigure> figures;
 };
-/// Writes the report as an HTML page.
 /// @throws DataError if x and y of a curve differ in length, and like
 /// write_file_atomically()
 void write_report(const std::filesystem::path& path, const Report& report);

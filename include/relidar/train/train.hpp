@@ -30,20 +30,19 @@ namespace relidar {
 struct Checkpoint;
 struct TrainedRun;
 
-/// Line of the training log. It summarises the iterations since the previous line.
+/// Summarises the iterations since the previous line.
 struct TrainProgress {
     int iteration = 0;
     int n_iterations = 0;
     double seconds = 0.0;  ///< Seconds since training started.
     double iterations_per_second = 0.0;
     double eta_s = 0.0;
-    /// Weighted loss terms, averaged over the iterations since the previous line of the
-    /// log.
+    /// Weighted loss terms, averaged over these iterations.
     std::array<double, kLossTerms> terms{};
     double loss = 0.0;
     std::uint32_t n_surfels = 0;
-    /// Numbers of surfels added and removed since the previous line of the log. The
-    /// fields `before` and `after` are those of the last densification.
+    /// Numbers of surfels added and removed. `before` and `after` are those of the last
+    /// densification.
     DensifyReport densified;
 };
 
@@ -63,12 +62,11 @@ struct RefinedPoses {
     std::vector<BoxTrack> boxes;
 };
 
-/// Result of a training. If a training was interrupted and resumed, its log and times
-/// cover all sessions since the start.
+/// The log and the times of a resumed training cover all sessions since the start.
 struct TrainResult {
     Scene scene;
-    /// Poses that training has corrected. Render scans with these poses, not with the
-    /// poses of the log. nullopt if training used the log's poses unchanged.
+    /// Render scans with these poses, not with those of the log. nullopt if training used
+    /// the log's poses unchanged.
     std::optional<RefinedPoses> poses;
     ObservedVoxelSet coverage;  ///< Space that the training frames have observed.
     SurfaceClassMap classes;    ///< Classes of the background. Empty if the log has no labelled points.
@@ -81,37 +79,31 @@ struct TrainResult {
     bool interrupted = false;  ///< True if training stopped before the last iteration.
 };
 
-/// Callback for each line of the training log. A line arrives a few iterations after the
-/// last iteration that it describes. To stop the training, the callback returns false.
-/// Training then returns the current scene.
+/// Called for each line of the log, a few iterations after the last iteration that it
+/// describes. To stop the training, it returns false.
 using TrainProgressCallback = std::function<bool(const TrainProgress&)>;
 
-/// Checkpoints, callbacks and stop condition of a training that may take days.
 struct TrainSession {
-    /// Folder for checkpoints. Empty = no checkpoints. Checkpoints are written at the
-    /// intervals of the settings train.checkpoint_*, and when training stops early.
+    /// Empty = no checkpoints. Written at the intervals train.checkpoint_*, and when
+    /// training stops early.
     std::filesystem::path checkpoints;
-    /// Checkpoint from which training resumes. Null = start from the beginning.
+    /// Null = start from the beginning.
     const Checkpoint* start = nullptr;
-    /// Callback after every iteration. It returns true to stop the training.
+    /// Called after every iteration. Returns true to stop the training.
     std::function<bool()> stop;
-    /// Callback that receives one-line messages, for example about a full disk. These
-    /// messages are not in the training log.
+    /// Receives one-line messages that are not in the training log, for example about a
+    /// full disk.
     std::function<void(const std::string&)> note;
-    /// Callback that receives the progress of the initialisation, before the first log
-    /// entry. An exception from the callback ends training.
+    /// Of the initialisation. An exception from the callback ends training.
     ProgressReporter progress = {};
-    /// Output: times of the stages "initialise", "train", "drops" (drop probabilities of
-    /// the sensor) and "coverage".
+    /// Times of "initialise", "train", "drops" (of the sensor) and "coverage".
     StageTimes* stages = nullptr;
 };
 
-/// Callbacks and process group for prepare_log_for_training().
 struct LogPreparationCallbacks {
-    /// Callback for one line of text about each estimate, as soon as it is available.
+    /// One line about each estimate, as soon as it is available.
     std::function<void(const std::string&)> report_line;
-    /// Callback that is polled during the preparation. It returns true to stop the
-    /// preparation.
+    /// Polled. Returns true to stop the preparation.
     std::function<bool()> stop;
     ProgressReporter progress = {};  ///< Function that receives the progress of slow steps.
     StageTimes* stages = nullptr;    ///< Output: times of the stages "register", "calibrate" and "movers".
@@ -146,17 +138,13 @@ TrainResult train(Device& device, const LidarSequence& sequence, const TrainTest
                   const Config& config, const TrainProgressCallback& progress,
                   const TrainSession& session = {});
 
-/// Callbacks of estimate_held_out_vehicle_poses(), which corrects the poses of held-out
-/// scans.
 struct HeldOutPoseCallbacks {
     ProgressReporter progress = {};
-    /// Called before each scan. If it returns true, the correction stops and changes no
-    /// pose, not even the poses of earlier scans.
+    /// Called before each scan. If it returns true, no pose changes.
     std::function<bool()> stop = {};
 };
 
-/// Result of estimate_held_out_vehicle_poses(): the number of held-out scans, how many of
-/// their poses were corrected, and by what distances.
+/// Corrected scans, and the distances by which they moved.
 struct HeldOutPoseReport {
     std::size_t scans = 0, placed = 0;
     double median_m = 0.0, largest_m = 0.0;
@@ -174,29 +162,25 @@ struct HeldOutPoseReport {
 HeldOutPoseReport estimate_held_out_vehicle_poses(Device& device, TrainedRun& run,
                                                   const HeldOutPoseCallbacks& session = {});
 
-/// Checkpoints, callbacks and stop condition for the training of a ray-drop network.
 struct RayDropTrainingSession {
     ProgressReporter progress =
         {};  ///< Function that receives the progress of rendering the training frames.
-    /// Function that is called after each training step.
+    /// Called after each training step.
     std::function<void(const RayDropTrainProgress&)> step = {};
-    /// Callback after each frame and each step. It returns true to stop the training.
+    /// Called after each frame and each step. Returns true to stop the training.
     std::function<bool()> stop = {};
-    /// Folder for checkpoints of the network. Empty = no checkpoints. Checkpoints are
-    /// written after each epoch, at the interval train.checkpoint_minutes, and when
-    /// training stops early. The caller must remove the checkpoints after saving the
-    /// network.
+    /// Empty = no checkpoints. Written after each epoch, at the interval
+    /// train.checkpoint_minutes, and when training stops early. The caller removes them
+    /// after saving the network.
     std::filesystem::path checkpoints = {};
-    /// Checkpoint from which training resumes. Null = start from the beginning.
+    /// Null = start from the beginning.
     const Checkpoint* start = nullptr;
-    /// Callback that receives one line of text about each checkpoint that could not be
-    /// written.
+    /// One line about each checkpoint that could not be written.
     std::function<void(const std::string&)> note = {};
     StageTimes* stages = nullptr;  ///< Output: times of the stages "network's images" and "network".
 };
 
-/// Folder for checkpoints of the ray-drop network, relative to the checkpoint folder of
-/// the scene.
+/// Relative to the checkpoint folder of the scene.
 inline constexpr const char* kRefineCheckpoints = "drop_network";
 
 /// Trains a ray-drop network with the options config.refine on the training frames of a
@@ -219,35 +203,30 @@ RayDropNetwork train_ray_drop_network_of_run(Device& device, const TrainedRun& r
 /// @throws UsageError if a setting differs. The message names the setting.
 /// @throws DataError if the log or scene differs. The message names the differing part.
 void require_network_training_is_resumable(const Checkpoint& checkpoint, const TrainedRun& run);
-/// Reads the settings that affect a ray-drop network from its checkpoint and stores them
-/// in a config.
+/// Settings that affect the network.
 /// @throws UsageError for a setting that this version does not know
 void copy_network_settings_into_config(const Checkpoint& checkpoint, Config& config);
 
-/// Callbacks of fit_intensity_scatter_model_per_lidar(), which estimates the scatter of
-/// intensities.
 struct ScatterFitCallbacks {
     ProgressReporter progress = {};
-    /// Callback before each frame. It returns true to stop.
+    /// Called before each frame. Returns true to stop.
     std::function<bool()> stop = {};
 };
 
-/// Fits a statistical model of the measured intensities, given the rendered intensities,
-/// for each LiDAR. Renders some training frames for this. TrainedRun::sequence must
-/// contain the measured scans of these frames.
+/// Models the measured intensities, given the rendered intensities of some training
+/// frames. TrainedRun::sequence must contain the measured scans of these frames.
 /// @return [lidars] models. A model is empty if its LiDAR has too few returns. The vector
 /// is empty if ScatterFitCallbacks::stop has stopped the fit
 std::vector<IntensityScatterModel> fit_intensity_scatter_model_per_lidar(
     Device& device, const TrainedRun& run, const ScatterFitCallbacks& session = {});
 
-/// Reason why a training ended: all steps are done, or a callback stopped it.
+/// `stopped`: by a callback
 enum class TrainingEndReason { finished, stopped };
 
-/// Callbacks of train_actors(), which trains the actors of a scene with blocks.
 struct ActorTrainingCallbacks {
-    /// Function that is called after each training step.
+    /// Called after each training step.
     std::function<void(int step, int n_steps)> step = {};
-    /// Callback after each training step. It returns true to stop the training.
+    /// Called after each training step. Returns true to stop the training.
     std::function<bool()> stop = {};
 };
 
@@ -263,8 +242,7 @@ struct ActorTrainingCallbacks {
 /// @throws DataError if a block cannot be read or a loss is not finite
 TrainingEndReason train_actors(Device& device, TrainedRun& run, const ActorTrainingCallbacks& session = {});
 
-/// Moves the scene, the coverage and the corrected poses (if any) from a training result
-/// into a run.
+/// Scene, coverage and corrected poses (if any).
 void move_result_into_run(TrainedRun& run, TrainResult& result);
 
 /// Checks that a training can resume with this log and these settings. train.iterations
@@ -277,10 +255,8 @@ void move_result_into_run(TrainedRun& run, TrainResult& result);
 /// @throws DataError if the log differs. The message names the differing part.
 void require_training_is_resumable(const Checkpoint& checkpoint, const LidarSequence& sequence,
                                    const TrainTestSplit& split, const Config& config);
-/// Compares two configs. Returns the name of the first setting whose difference prevents
-/// resuming a training. Returns an empty string if no difference prevents it.
+/// The first setting whose difference prevents resuming. Empty if none does.
 std::string find_setting_that_prevents_resuming(const Config& config, const Config& other_config);
-/// Returns the training log that is stored in a checkpoint.
 /// @throws DataError if the checkpoint is not a training checkpoint
 std::vector<TrainProgress> read_training_log(const Checkpoint& checkpoint, const Config& config);
 
