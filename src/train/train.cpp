@@ -135,7 +135,7 @@ TrainResult train(Device& device, const LidarSequence& sequence, const TrainTest
     const auto collect_lines = [&] {
         for (const TrainLogLine& line : loop.take_log_lines()) {
             append_training_log_line(result.log, line, config, trained_s());
-            stop = !progress(result.log.back()) || stop;
+            stop = (progress && !progress(result.log.back())) || stop;
         }
     };
     while (result.iterations < config.train.iterations && !stop) {

@@ -94,7 +94,7 @@ TEST_F(TrainedClasses, OfHeldOutScansAreThoseOfTheStreet) {
     config.init.voxel_m = 0.4;
     config.train.iterations = 60;
     config.train.rays_per_iteration = 0;
-    const TrainResult result = train(device(), log, split, config, [](const TrainProgress&) { return true; });
+    const TrainResult result = train(device(), log, split, config);
 
     ScanRenderer renderer(device(), result.scene, config, log);
     EXPECT_FALSE(evaluate_frames(renderer, config, log, split.test).mean.contains("classes/accuracy"));

@@ -60,8 +60,7 @@ TEST_F(DensifyTrain, GrowthLowersTheLoss) {
     for (const DensifyStrategy strategy : {DensifyStrategy::none, DensifyStrategy::adaptive}) {
         Config config = make_sparse_config();
         config.densify.strategy = strategy;
-        const TrainResult result =
-            train(device(), sequence, split, config, [](const TrainProgress&) { return true; });
+        const TrainResult result = train(device(), sequence, split, config);
         loss[strategy] = get_final_loss(result);
         std::uint32_t n = result.log.front().n_surfels;
         for (const TrainProgress& line : result.log) {
@@ -87,8 +86,7 @@ TEST_F(DensifyTrain, ActorsStayInTheirModels) {
     config.train.iterations = 20;
     config.densify.strategy = DensifyStrategy::adaptive;
     config.densify.from = config.densify.every = 10;
-    const Scene scene =
-        train(device(), sequence, split, config, [](const TrainProgress&) { return true; }).scene;
+    const Scene scene = train(device(), sequence, split, config).scene;
     ASSERT_EQ(scene.models.size(), 3u);
     std::uint32_t next = 0;
     for (const SurfelModel& model : scene.models) {
@@ -122,8 +120,7 @@ TEST_F(DensifyTrain, OutOfMemoryEndsGrowthNotTraining) {
         needed = unlimited.peak_allocated_bytes();
     }
     Device limited({.memory_limit_bytes = needed + (std::uint64_t(2) << 20)});
-    const TrainResult result =
-        train(limited, sequence, split, config, [](const TrainProgress&) { return true; });
+    const TrainResult result = train(limited, sequence, split, config);
     EXPECT_EQ(result.log.back().iteration, 40);
     EXPECT_FALSE(result.interrupted);
     EXPECT_GT(result.scene.surfels.size(), result.log.front().n_surfels);

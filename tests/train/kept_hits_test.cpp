@@ -8,6 +8,7 @@
 #include <relidar/train/train.hpp>
 
 #include "../support/device.hpp"
+#include "support/same_surfels.hpp"
 #include "train/train_loop.hpp"
 
 namespace relidar {
@@ -86,11 +87,8 @@ TEST_F(KeptHits, ChangeNothingOfWhatIsLearnt) {
     const Trained searched = train(0), grown = train(1), all_stored = train(64);
     EXPECT_EQ(searched.stored_hits_per_ray, 0u);
     EXPECT_GT(grown.stored_hits_per_ray, 2u);
-    for (const Trained* other : {&grown, &all_stored}) {
-        EXPECT_EQ(other->scene.surfels.mean, searched.scene.surfels.mean);
-        EXPECT_EQ(other->scene.surfels.opacity_logit, searched.scene.surfels.opacity_logit);
-        EXPECT_EQ(other->scene.surfels.sh, searched.scene.surfels.sh);
-    }
+    for (const Trained* other : {&grown, &all_stored})
+        test::expect_same_surfels(other->scene.surfels, searched.scene.surfels);
 }
 
 TEST(KeptHitsWanted, TwiceAsManyWhileAnyRayHasMore) {

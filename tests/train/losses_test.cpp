@@ -26,8 +26,8 @@ TEST_F(Losses, EveryTermIsLogged) {
         config.loss.box_scale_share = 0.01f;  // so that some surfel is too large
         config.train.iterations = 3;
         config.train.rays_per_iteration = 1024;
-        const TrainResult result = train(device(), street, split_frames_into_train_and_test(street, 0),
-                                         config, [](const TrainProgress&) { return true; });
+        const TrainResult result =
+            train(device(), street, split_frames_into_train_and_test(street, 0), config);
         ASSERT_GT(result.scene.models.size(), 1u) << "an actor";
         for (std::size_t k = 0; k < kLossTerms; ++k) {
             const double term = result.log.back().terms[k];

@@ -54,8 +54,7 @@ TEST_F(People, ReturnOnHeldOutFramesAsOftenAsTheyDid) {
     config.train.iterations = 110;
     config.train.rays_per_iteration = 4096;
     config.train.refine_poses = "none";
-    const TrainResult result =
-        train(device(), street, split, config, [](const TrainProgress&) { return true; });
+    const TrainResult result = train(device(), street, split, config);
     ScanRenderer renderer(device(), result.scene, config, street);
     std::map<std::string, std::pair<int, int>> counts;  // number of real and simulated returns
     for (const int position : split.test) {
@@ -94,9 +93,7 @@ TEST_F(People, MaskedBoxesAreReported) {
     std::vector<std::string> notes;
     TrainSession session;
     session.note = [&](const std::string& line) { notes.push_back(line); };
-    train(
-        device(), street, split_frames_into_train_and_test(street, 0), config,
-        [](const TrainProgress&) { return true; }, session);
+    train(device(), street, split_frames_into_train_and_test(street, 0), config, {}, session);
     ASSERT_EQ(notes.size(), 1u);
     EXPECT_NE(notes[0].find("2 (Pedestrian), 3 (Pedestrian), 4 (Pedestrian), 5 (Cyclist)"), std::string::npos)
         << notes[0];

@@ -24,8 +24,7 @@ TrainedRun train_small_run(Device& device) {
     run.config.train.iterations = 60;
     run.config.train.rays_per_iteration = 4096;
     run.config.train.refine_poses = "none";
-    run.scene =
-        train(device, run.sequence, run.split, run.config, [](const TrainProgress&) { return true; }).scene;
+    run.scene = train(device, run.sequence, run.split, run.config).scene;
     run.config.train.refine_poses = "sensor";
     return run;
 }

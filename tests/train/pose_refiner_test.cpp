@@ -225,8 +225,7 @@ std::pair<PoseError, PoseError> measure_errors_of_training(Device& device, const
     const TrainTestSplit split = split_frames_into_train_and_test(street, 0);
     const PoseError before = error_of(street.world_from_vehicle, exact, split.train);
     prepare_log_for_training(street, split, config);
-    const TrainResult result =
-        train(device, street, split, config, [](const TrainProgress&) { return true; });
+    const TrainResult result = train(device, street, split, config);
     const std::pair<PoseError, PoseError> errors{
         before, error_of(result.poses.value().world_from_vehicle, exact, split.train)};
     std::printf("%s: %.4f m, %.3f deg before, %.4f m, %.3f deg after\n", description, errors.first.median_m,
@@ -297,8 +296,7 @@ TEST_F(Poses, OfTheActorsComeBack) {
     config.train.pose_rate_m = 1e-3;
     config.init.actor_min_points = 20;
     config.init.scale_factor = 0.8;  // uses larger surfels without holes, because a car has few points
-    const TrainResult result = train(device(), street, split_frames_into_train_and_test(street, 0), config,
-                                     [](const TrainProgress&) { return true; });
+    const TrainResult result = train(device(), street, split_frames_into_train_and_test(street, 0), config);
     ASSERT_TRUE(result.poses);
     const std::vector<int> all{0, 1, 2, 3, 4, 5, 6};
     for (std::size_t b = 0; b < exact.size(); ++b) {
@@ -312,9 +310,9 @@ TEST_F(Poses, OfTheActorsComeBack) {
 
 TEST_F(Poses, AreKeptWhereNoneIsRefined) {
     const LidarSequence street = street_of(4, 8, 64, true);
-    EXPECT_FALSE(train(device(), street, split_frames_into_train_and_test(street, 0),
-                       make_refining_config("none", 2), [](const TrainProgress&) { return true; })
-                     .poses);
+    EXPECT_FALSE(
+        train(device(), street, split_frames_into_train_and_test(street, 0), make_refining_config("none", 2))
+            .poses);
     Config config;
     EXPECT_THROW(set_config_value(config, "train.refine_poses", "sensors"), UsageError);
     std::vector<std::string> notes;
@@ -323,9 +321,7 @@ TEST_F(Poses, AreKeptWhereNoneIsRefined) {
     config = make_refining_config("actors", 2);
     config.init.actor_classes = "";
     config.init.mask_others = false;
-    train(
-        device(), street, split_frames_into_train_and_test(street, 0), config,
-        [](const TrainProgress&) { return true; }, session);
+    train(device(), street, split_frames_into_train_and_test(street, 0), config, {}, session);
     ASSERT_EQ(notes.size(), 1u);
     EXPECT_THAT(notes[0], test::Names("train.refine_poses=actors"));
 }
@@ -339,9 +335,8 @@ TEST_F(Poses, OfASingleSweepStays) {
     TrainSession session;
     session.note = [&](const std::string& note) { notes.push_back(note); };
     const auto poses = [&](const std::string& held_out) {
-        return train(
-                   device(), street, split_frames_into_train_and_test(street, 0, held_out),
-                   make_refining_config("sensor", 2), [](const TrainProgress&) { return true; }, session)
+        return train(device(), street, split_frames_into_train_and_test(street, 0, held_out),
+                     make_refining_config("sensor", 2), {}, session)
             .poses;
     };
     EXPECT_FALSE(poses("0:2,3"));

@@ -6,8 +6,6 @@
 #include <filesystem>
 #include <string>
 
-#include <stdlib.h>
-
 #include <fmt/format.h>
 #include <gmock/gmock.h>
 
@@ -21,6 +19,7 @@
 #include <relidar/simulate/render.hpp>
 #include <relidar/train/train.hpp>
 
+#include "../base/codecs/temporary_folder.hpp"
 #include "../support/device.hpp"
 #include "support/names.hpp"
 
@@ -61,8 +60,7 @@ TrainedRun trained(Device& device, LidarSequence street) {
     // learn the effect
     run.config.train.sensor_drop = false;
     run.config.image.sh_degree = 0;
-    run.scene =
-        train(device, run.sequence, run.split, run.config, [](const TrainProgress&) { return true; }).scene;
+    run.scene = train(device, run.sequence, run.split, run.config).scene;
     // a run with a different flatness cannot be saved
     run.config.init.flatness = make_preset_config("quick").init.flatness;
     return run;
@@ -101,18 +99,10 @@ std::pair<double, double> measure_accuracies(Device& device, const TrainedRun& r
 
 class RefineDrops : public test::DeviceTest {
 protected:
-    void TearDown() override {
-        if (!folder_.empty()) std::filesystem::remove_all(folder_);
-    }
-    /// Returns a temporary folder that is deleted at the end of the test.
-    const std::filesystem::path& folder() {
-        std::string pattern = (std::filesystem::temp_directory_path() / "relidar-refine-XXXXXX").string();
-        if (folder_.empty() && ::mkdtemp(pattern.data())) folder_ = pattern;
-        return folder_;
-    }
+    const std::filesystem::path& folder() { return scratch_.path; }
 
 private:
-    std::filesystem::path folder_;
+    ScratchFolder scratch_;
 };
 
 TEST_F(RefineDrops, NetworkKnowsWhatTheSensorDoesOnHeldOutFrames) {

@@ -19,6 +19,7 @@
 #include "../support/device.hpp"
 #include "../support/file_size_limit.hpp"
 #include "support/names.hpp"
+#include "support/same_surfels.hpp"
 #include "train/train_loop.hpp"
 
 namespace relidar {
@@ -76,42 +77,23 @@ void expect_same_scene(const Scene& first, const Scene& second, const Scene& ini
     compare("sh", first.surfels.sh, second.surfels.sh, initial.surfels.sh);
 }
 
-void expect_equal_bits(const Scene& first, const Scene& second) {
-    const Surfels &x = first.surfels, &y = second.surfels;
-    EXPECT_TRUE(x.mean == y.mean && x.rotation == y.rotation && x.log_scale == y.log_scale &&
-                x.opacity_logit == y.opacity_logit && x.sh == y.sh && x.log_scale_w == y.log_scale_w);
-}
-
 class Resume : public test::DeviceTest {
 protected:
-    void SetUp() override {
-        test::DeviceTest::SetUp();
-        std::string pattern = (fs::temp_directory_path() / "relidar-resume-XXXXXX").string();
-        ASSERT_NE(::mkdtemp(pattern.data()), nullptr);
-        folder = pattern;
-        street = make_synthetic_street({.n_frames = 11, .rows = 16, .columns = 256});
-        split = split_frames_into_train_and_test(street, 10);
-    }
-    void TearDown() override {
-        fs::remove_all(folder);
-        test::DeviceTest::TearDown();
-    }
-
     /// @param stop_after number of iterations in this session
     TrainResult run(const Config& config, const Checkpoint* start = nullptr, int stop_after = 1 << 30) {
         int calls = 0;
         TrainSession session{folder, start, [&calls, stop_after] { return ++calls >= stop_after; },
                              [this](const std::string& note) { notes.push_back(note); }};
-        return train(
-            device(), street, split, config, [](const TrainProgress&) { return true; }, session);
+        return train(device(), street, split, config, {}, session);
     }
     std::optional<Checkpoint> newest() {
         return load_newest_checkpoint(folder, [this](const std::string& note) { notes.push_back(note); });
     }
 
-    fs::path folder;
-    LidarSequence street;
-    TrainTestSplit split;
+    ScratchFolder scratch;
+    const fs::path folder = scratch.path;
+    LidarSequence street = make_synthetic_street({.n_frames = 11, .rows = 16, .columns = 256});
+    TrainTestSplit split = split_frames_into_train_and_test(street, 10);
     std::vector<std::string> notes;
 };
 
@@ -181,7 +163,7 @@ TEST_F(Resume, ADeterministicTrainingEndsInTheSameBits) {
         const std::optional<Checkpoint> checkpoint = newest();
         ASSERT_TRUE(checkpoint);
         const TrainResult resumed = run(config, &*checkpoint);
-        expect_equal_bits(resumed.scene, uninterrupted.scene);
+        test::expect_same_surfels(resumed.scene.surfels, uninterrupted.scene.surfels);
         ASSERT_EQ(resumed.log.size(), uninterrupted.log.size());
         std::uint32_t changed = 0;
         for (std::size_t i = 0; i < uninterrupted.log.size(); ++i) {
@@ -224,7 +206,7 @@ TEST_F(Resume, PreparedLogsAreTheSameAgain) {
     ASSERT_TRUE(checkpoint);
     prepare();
     const TrainResult resumed = run(config, &*checkpoint);
-    expect_equal_bits(resumed.scene, uninterrupted.scene);
+    test::expect_same_surfels(resumed.scene.surfels, uninterrupted.scene.surfels);
     for (std::size_t k = 0; k < street.frames.size(); ++k)
         EXPECT_EQ(resumed.poses->world_from_vehicle.pose[k].translation,
                   uninterrupted.poses->world_from_vehicle.pose[k].translation);
@@ -292,7 +274,7 @@ TEST_F(Resume, ActorsAloneAreRefinedAsIfNeverStopped) {
     const std::optional<Checkpoint> checkpoint = newest();
     ASSERT_TRUE(checkpoint && first.interrupted);
     const TrainResult resumed = run(config, &*checkpoint);
-    expect_equal_bits(resumed.scene, uninterrupted.scene);
+    test::expect_same_surfels(resumed.scene.surfels, uninterrupted.scene.surfels);
     const std::vector<Pose>&a = resumed.poses->boxes[0].world_from_box.pose,
           &b = uninterrupted.poses->boxes[0].world_from_box.pose;
     EXPECT_TRUE(std::ranges::equal(
@@ -308,8 +290,7 @@ TEST_F(Resume, AFinishedRunStaysAndMayBeExtended) {
     const std::optional<Checkpoint> end = newest();
     EXPECT_EQ(end->iteration, kIterations);
     const TrainResult nothing = run(config, &*end);
-    EXPECT_EQ(nothing.scene.surfels.mean, uninterrupted.scene.surfels.mean);
-    EXPECT_EQ(nothing.scene.surfels.sh, uninterrupted.scene.surfels.sh);
+    test::expect_same_surfels(nothing.scene.surfels, uninterrupted.scene.surfels);
     EXPECT_EQ(nothing.log.size(), uninterrupted.log.size());
     config.train.iterations = kIterations + 10;
     const TrainResult more = run(config, &*end);
@@ -368,10 +349,7 @@ TEST_F(Resume, AnotherLogOrOtherSettingsAreRefusedByName) {
     other.boxes[0].size_m.x += 0.1;
     log("boxes", other, split);
     TrainSession session{folder, &start, {}, {}};
-    EXPECT_THROW(train(
-                     device(), other, split, make_resumed_config(), [](const TrainProgress&) { return true; },
-                     session),
-                 DataError);
+    EXPECT_THROW(train(device(), other, split, make_resumed_config(), {}, session), DataError);
 }
 
 TEST_F(Resume, AFullDiskCostsTheCheckpointOnly) {
@@ -439,9 +417,7 @@ TEST_F(Resume, AFailureLeavesTheLastCheckpoint) {
         nullptr,
         [&]() -> bool { return ++calls == 13 ? throw DeviceError("out of device memory") : false; },
         {}};
-    EXPECT_THROW(train(
-                     device(), street, split, config, [](const TrainProgress&) { return true; }, session),
-                 DeviceError);
+    EXPECT_THROW(train(device(), street, split, config, {}, session), DeviceError);
     const std::optional<Checkpoint> checkpoint = newest();
     ASSERT_TRUE(checkpoint);
     EXPECT_EQ(checkpoint->iteration, 10);

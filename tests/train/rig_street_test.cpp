@@ -68,8 +68,7 @@ TEST_F(RigStreet, EachSensorsHeldOutSweepsAreNearTheTruth) {
     ASSERT_EQ(split.test.size(), 4u);
     const Config config = make_rig_config(100);
     prepare_log_for_training(street, split, config, {});
-    const TrainResult result =
-        train(device(), street, split, config, [](const TrainProgress&) { return true; });
+    const TrainResult result = train(device(), street, split, config);
     ScanRenderer renderer(device(), result.scene, config, street);
     std::vector<Score> scores(4);
     for (const int position : split.test) {

@@ -6,8 +6,6 @@
 #include <filesystem>
 #include <vector>
 
-#include <stdlib.h>
-
 #include <gmock/gmock.h>
 
 #include <relidar/log/dataset.hpp>
@@ -15,6 +13,7 @@
 #include <relidar/simulate/render.hpp>
 #include <relidar/train/train.hpp>
 
+#include "../base/codecs/temporary_folder.hpp"
 #include "../support/device.hpp"
 
 namespace relidar {
@@ -27,15 +26,8 @@ protected:
     void SetUp() override {
         DeviceTest::SetUp();
         if (IsSkipped() || HasFatalFailure()) return;
-        std::string pattern = (std::filesystem::temp_directory_path() / "relidar-actors-XXXXXX").string();
-        ASSERT_NE(::mkdtemp(pattern.data()), nullptr);
-        folder = pattern;
-        SyntheticOptions options;
-        options.n_frames = 11;
-        options.rows = 24;
-        options.columns = 384;
         run.folder = folder;
-        run.sequence = make_synthetic_street(options);
+        run.sequence = make_synthetic_street({.n_frames = 11, .rows = 24, .columns = 384});
         run.split = split_frames_into_train_and_test(run.sequence, 10);
         run.config = make_preset_config("quick");
         run.config.init.voxel_m = 0.3;
@@ -49,11 +41,6 @@ protected:
             full_scene.surfels.opacity_logit[i] = i < full_scene.models[0].count ? 6.0f : -1.5f;
         run.scene = copy_scene_with_new_background(full_scene, {});
         for (const bool right : {false, true}) run.scene.blocks.push_back(save_half(full_scene, right));
-    }
-
-    void TearDown() override {
-        if (!folder.empty()) std::filesystem::remove_all(folder);
-        DeviceTest::TearDown();
     }
 
     SceneBlock save_half(const Scene& scene, bool right) {
@@ -89,7 +76,8 @@ protected:
         return errors.empty() ? 0.0 : errors[errors.size() / 2];
     }
 
-    std::filesystem::path folder;
+    ScratchFolder scratch;
+    const std::filesystem::path folder = scratch.path;
     relidar::TrainedRun run;
 };
 

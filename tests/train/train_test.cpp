@@ -12,12 +12,38 @@
 #include <relidar/train/train.hpp>
 
 #include "../support/device.hpp"
+#include "support/same_surfels.hpp"
 #include "train/frames/frame_data.hpp"
 
 namespace relidar {
 namespace {
 
-class Train : public test::DeviceTest {};
+SyntheticOptions make_small_street() { return {.n_frames = 11, .rows = 16, .columns = 256}; }
+
+class Train : public test::DeviceTest {
+protected:
+    Train() {
+        config.init.voxel_m = 0.4;
+        config.train.iterations = 60;
+        config.train.rays_per_iteration = 0;
+        config.train.log_every = 10;
+    }
+    TrainResult train_street() { return train(device(), street, split, config); }
+    RenderedScan render_held_out(const Scene& scene, bool is_log_lidar = false) {
+        const LidarFrame& frame = street.frames[std::size_t(split.test[0])];
+        return ScanRenderer(device(), scene, config, street)
+            .render({frame.scan.rays, std::nullopt, is_log_lidar}, frame.time_s);
+    }
+
+    double measure_held_out_error(const Scene& scene) {
+        const RangeImage real = make_measured_image(config, street.frames[std::size_t(split.test[0])].scan);
+        return evaluate(render_held_out(scene).image, real).at("strict/depth_mae_m");
+    }
+
+    LidarSequence street = make_synthetic_street(make_small_street());
+    TrainTestSplit split = split_frames_into_train_and_test(street, 10);
+    Config config = make_preset_config("quick");
+};
 class TrainEither : public Train, public testing::WithParamInterface<PrimitiveType> {};
 std::vector<PrimitiveType> list_all_primitives() {
     std::vector<PrimitiveType> all;
@@ -26,32 +52,9 @@ std::vector<PrimitiveType> list_all_primitives() {
 }
 INSTANTIATE_TEST_SUITE_P(Primitives, TrainEither, testing::ValuesIn(list_all_primitives()));
 
-SyntheticOptions make_small_street() { return {.n_frames = 11, .rows = 16, .columns = 256}; }
-
-Config make_small_config() {
-    Config config = make_preset_config("quick");
-    config.init.voxel_m = 0.4;
-    config.train.iterations = 60;
-    config.train.rays_per_iteration = 0;
-    config.train.log_every = 10;
-    return config;
-}
-
-double measure_held_out_error(Device& device, const Scene& scene, const Config& config,
-                              const LidarSequence& street, const TrainTestSplit& split) {
-    ScanRenderer renderer(device, scene, config, street);
-    const LidarFrame& frame = street.frames[std::size_t(split.test[0])];
-    const RenderedScan scan = renderer.render({frame.scan.rays, std::nullopt}, frame.time_s);
-    return evaluate(scan.image, make_measured_image(config, frame.scan)).at("strict/depth_mae_m");
-}
-
 TEST_P(TrainEither, LearnsTheStreet) {
-    const LidarSequence street = make_synthetic_street(make_small_street());
-    const TrainTestSplit split = split_frames_into_train_and_test(street, 10);
-    Config config = make_small_config();
     config.image.primitive = GetParam();
-    const TrainResult result =
-        train(device(), street, split, config, [](const TrainProgress&) { return true; });
+    const TrainResult result = train_street();
     ASSERT_GE(result.log.size(), 6u);
     EXPECT_TRUE(std::isinf(result.log.front().eta_s)) << "the pace is not known yet";
     for (std::size_t i = 1; i < result.log.size(); ++i) {
@@ -66,24 +69,18 @@ TEST_P(TrainEither, LearnsTheStreet) {
     config.train.iterations = 1;
     config.train.mean_rate = config.train.rotation_rate = config.train.scale_rate =
         config.train.opacity_rate = config.train.sh_rate = 1e-12;
-    const TrainResult untrained =
-        train(device(), street, split, config, [](const TrainProgress&) { return true; });
-    EXPECT_LT(measure_held_out_error(device(), result.scene, config, street, split),
-              0.9 * measure_held_out_error(device(), untrained.scene, config, street, split));
+    const TrainResult untrained = train_street();
+    EXPECT_LT(measure_held_out_error(result.scene), 0.9 * measure_held_out_error(untrained.scene));
 }
 
 /// The first step of Adam equals the learning rate for any gradient. The rate must be
 /// proportional to 4 x the diagonal of a car's box and not to the extent of the street.
 TEST_F(Train, MeansLearnAtTheExtentOfTheirOwnModel) {
-    const LidarSequence street = make_synthetic_street(make_small_street());
-    const TrainTestSplit split = split_frames_into_train_and_test(street, 10);
-    Config config = make_small_config();
     config.train.iterations = 1;
     config.densify.strategy = DensifyStrategy::adaptive;
     config.init.actor_min_points = 10;
     const Scene before = initialise_scene(street, split.train, config.init);
-    const Scene after =
-        train(device(), street, split, config, [](const TrainProgress&) { return true; }).scene;
+    const Scene after = train_street().scene;
     ASSERT_EQ(after.surfels.size(), before.surfels.size());
     ASSERT_GE(before.models.size(), 3u) << "the background and two cars";
     for (const SurfelModel& model : before.models) {
@@ -101,16 +98,12 @@ TEST_F(Train, MeansLearnAtTheExtentOfTheirOwnModel) {
 }
 
 TEST_P(TrainEither, SurfelsGrowToSoManyTimesTheirFirstSizeAtMost) {
-    const LidarSequence street = make_synthetic_street(make_small_street());
-    const TrainTestSplit split = split_frames_into_train_and_test(street, 10);
-    Config config = make_small_config();
     config.image.primitive = GetParam();
     config.train.scale_rate = 0.1;
     config.train.max_growth = 1.3;
     const auto trained = [&](int iterations) {
         config.train.iterations = iterations;
-        return train(device(), street, split, config, [](const TrainProgress&) { return true; })
-            .scene.surfels;
+        return train_street().scene.surfels;
     };
     const Surfels first = trained(0), last = trained(20);
     ASSERT_EQ(first.size(), last.size());
@@ -132,22 +125,14 @@ TEST_P(TrainEither, SurfelsGrowToSoManyTimesTheirFirstSizeAtMost) {
 /// loss of ray drops must decrease. Hit logits must stay 0, during training and in the
 /// saved scene.
 TEST_F(Train, SingleDropLogitStartsAsTwoAndLeavesHitLogits) {
-    const LidarSequence street = make_synthetic_street(make_small_street());
-    const TrainTestSplit split = split_frames_into_train_and_test(street, 10);
-    Config config = make_small_config();
     config.init.hit_margin = 2.1;
     const auto trained = [&](bool single, int iterations) {
         config.image.single_drop_logit = single;
         config.train.iterations = iterations;
-        return train(device(), street, split, config, [](const TrainProgress&) { return true; });
+        return train_street();
     };
-    const auto image = [&](const Scene& scene) {
-        const LidarFrame& frame = street.frames[std::size_t(split.test[0])];
-        return ScanRenderer(device(), scene, config, street)
-            .render({frame.scan.rays, std::nullopt}, frame.time_s)
-            .image;
-    };
-    const RangeImage two = image(trained(false, 0).scene), one = image(trained(true, 0).scene);
+    const RangeImage two = render_held_out(trained(false, 0).scene).image,
+                     one = render_held_out(trained(true, 0).scene).image;
     ASSERT_EQ(one.drop_prob.size(), two.drop_prob.size());
     for (std::size_t i = 0; i < one.drop_prob.size(); ++i)
         EXPECT_NEAR(one.drop_prob[i], two.drop_prob[i], 1e-5f);
@@ -172,23 +157,19 @@ TEST_F(Train, SingleDropLogitStartsAsTwoAndLeavesHitLogits) {
 TEST_F(Train, DeterministicTrainingRepeatsItself) {
     SyntheticOptions options = make_small_street();
     options.n_frames = 5;
-    const LidarSequence street = make_synthetic_street(options);
-    const TrainTestSplit split = split_frames_into_train_and_test(street, 10);
+    street = make_synthetic_street(options);
+    split = split_frames_into_train_and_test(street, 10);
+    const Config small = config;
     for (const ShDirection direction : {ShDirection::surfel, ShDirection::ray}) {
-        Config config = make_small_config();
+        config = small;
         config.image.sh_direction = direction;
         config.init.actor_min_points = 10;
         config.train.iterations = 20;
         config.train.deterministic = true;
         config.loss.likelihood = 0.01f;
-        const auto run = [&] {
-            return train(device(), street, split, config, [](const TrainProgress&) { return true; });
-        };
-        const TrainResult first = run(), second = run();
+        const TrainResult first = train_street(), second = train_street();
         EXPECT_GT(first.scene.models.size(), 1u);
-        const Surfels &a = first.scene.surfels, &b = second.scene.surfels;
-        EXPECT_TRUE(a.mean == b.mean && a.rotation == b.rotation && a.log_scale == b.log_scale &&
-                    a.opacity_logit == b.opacity_logit && a.sh == b.sh);
+        test::expect_same_surfels(first.scene.surfels, second.scene.surfels);
         ASSERT_EQ(first.log.size(), second.log.size());
         for (std::size_t i = 0; i < first.log.size(); ++i)
             EXPECT_NEAR(first.log[i].loss, second.log[i].loss, 1e-5 * first.log[i].loss)
@@ -197,10 +178,9 @@ TEST_F(Train, DeterministicTrainingRepeatsItself) {
 }
 
 TEST_F(Train, StopsWhenAskedAndKeepsTheScene) {
-    const LidarSequence street = make_synthetic_street(make_small_street());
     int calls = 0;
-    const TrainResult result = train(device(), street, split_frames_into_train_and_test(street, 10),
-                                     make_small_config(), [&](const TrainProgress&) { return ++calls < 2; });
+    const TrainResult result =
+        train(device(), street, split, config, [&](const TrainProgress&) { return ++calls < 2; });
     EXPECT_TRUE(result.interrupted);
     EXPECT_EQ(result.log.back().iteration, 10);
     EXPECT_GT(result.scene.surfels.size(), 100u);
@@ -213,23 +193,19 @@ TEST_F(Train, ActorsBeatMasking) {
     SyntheticOptions options = make_small_street();
     options.rows = 32;
     options.columns = 512;
-    const LidarSequence street = make_synthetic_street(options);
-    const TrainTestSplit split = split_frames_into_train_and_test(street, 10);
+    street = make_synthetic_street(options);
     const LidarFrame& frame = street.frames[std::size_t(split.test[0])];
     std::map<std::string, double> error;
+    config.init.actor_min_points = 20;
+    config.train.rays_per_iteration = 4096;
+    // a car has a few hundred points, so a factor of 0.4 would leave holes between its
+    // surfels
+    config.init.scale_factor = 0.8;
     for (const std::string classes : {"Car", ""}) {
-        Config config = make_small_config();
         config.init.actor_classes = classes;
-        config.init.actor_min_points = 20;
-        config.train.rays_per_iteration = 4096;
-        // a car has a few hundred points, so a factor of 0.4 would leave holes between
-        // its surfels
-        config.init.scale_factor = 0.8;
-        const TrainResult result =
-            train(device(), street, split, config, [](const TrainProgress&) { return true; });
+        const TrainResult result = train_street();
         EXPECT_EQ(result.scene.models.size(), classes.empty() ? 1u : 3u);
-        ScanRenderer renderer(device(), result.scene, config, street);
-        const RenderedScan scan = renderer.render({frame.scan.rays, std::nullopt}, frame.time_s);
+        const RenderedScan scan = render_held_out(result.scene);
         std::vector<double> errors;
         for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i) {
             if (!(frame.scan.range_m[i] > 0.0f)) continue;
@@ -311,22 +287,21 @@ bool is_hidden(const RayTable& rays, std::size_t index) {
     return d.z < -0.1f && std::abs(std::atan2(d.y, d.x) - 1.5f) < 0.3f;
 }
 
-TEST_F(Train, SensorDropIsLearntApartFromTheScene) {
-    LidarSequence street = make_synthetic_street(make_small_street());
-    const TrainTestSplit split = split_frames_into_train_and_test(street, 10);
+void hide_returns(LidarSequence& street) {
     for (LidarFrame& frame : street.frames)
         for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i)
             if (is_hidden(frame.scan.rays, i)) frame.scan.range_m[i] = frame.scan.intensity[i] = 0.0f;
-    Config config = make_small_config();
+}
+
+TEST_F(Train, SensorDropIsLearntApartFromTheScene) {
+    hide_returns(street);
     config.train.sensor_drop = true;
     config.init.scale_factor = 0.8;  // large surfels, because the points are sparse
-    const TrainResult result =
-        train(device(), street, split, config, [](const TrainProgress&) { return true; });
+    const TrainResult result = train_street();
     ASSERT_FALSE(result.scene.sensor_drop.empty());
-    ScanRenderer renderer(device(), result.scene, config, street);
     const LidarFrame& frame = street.frames[std::size_t(split.test[0])];
-    const RenderedScan log_sensor_scan = renderer.render({frame.scan.rays, std::nullopt, true}, frame.time_s),
-                       other = renderer.render({frame.scan.rays, std::nullopt, false}, frame.time_s);
+    const RenderedScan log_sensor_scan = render_held_out(result.scene, true),
+                       other = render_held_out(result.scene);
     std::size_t hidden = 0, dropped = 0, visible_to_other = 0;
     for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i) {
         if (!is_hidden(frame.scan.rays, i) || other.weight[i] < 0.9f) continue;
@@ -345,17 +320,12 @@ TEST_F(Train, ABlindSectorOfOneSweepIsRenderedBlind) {
     SyntheticOptions options = make_small_street();
     options.n_frames = 2;
     options.columns = 1024;
-    LidarSequence street = make_synthetic_street(options);
-    for (LidarFrame& frame : street.frames)
-        for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i)
-            if (is_hidden(frame.scan.rays, i)) frame.scan.range_m[i] = frame.scan.intensity[i] = 0.0f;
-    Config config = make_small_config();
+    street = make_synthetic_street(options);
+    split = {{0}, {0}};
+    hide_returns(street);
     config.train.sensor_drop = true;
-    const TrainResult result =
-        train(device(), street, {{0}, {1}}, config, [](const TrainProgress&) { return true; });
-    ScanRenderer renderer(device(), result.scene, config, street);
     const LidarFrame& frame = street.frames[0];
-    const RenderedScan scan = renderer.render({frame.scan.rays, std::nullopt, true}, frame.time_s);
+    const RenderedScan scan = render_held_out(train_street().scene, true);
     std::size_t hidden = 0, dropped = 0, ground = 0, returned = 0;
     for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i) {
         if (is_hidden(frame.scan.rays, i)) {
@@ -374,10 +344,7 @@ TEST_F(Train, ABlindSectorOfOneSweepIsRenderedBlind) {
 }
 
 TEST_F(Train, NothingToTrainOnIsAnError) {
-    const LidarSequence street = make_synthetic_street(make_small_street());
-    EXPECT_THROW(train(device(), street, TrainTestSplit{}, make_small_config(),
-                       [](const TrainProgress&) { return true; }),
-                 DataError);
+    EXPECT_THROW(train(device(), street, TrainTestSplit{}, config), DataError);
 }
 
 }  // namespace

@@ -17,6 +17,7 @@
 #include "../support/device.hpp"
 #include "base/random.hpp"
 #include "support/names.hpp"
+#include "support/same_surfels.hpp"
 #include "train/frames/grid_frame.hpp"
 
 namespace relidar {
@@ -187,9 +188,8 @@ TEST_F(FramesInTurn, TrainTheSameSceneBitByBit) {
         config.train.frame_memory_mib = frame_memory_mib;
         std::vector<std::string> notes;
         const TrainSession session{{}, nullptr, {}, [&](const std::string& note) { notes.push_back(note); }};
-        TrainResult result = train(
-            device(), log, split_frames_into_train_and_test(log, 0), config,
-            [](const TrainProgress&) { return true; }, session);
+        TrainResult result =
+            train(device(), log, split_frames_into_train_and_test(log, 0), config, {}, session);
         const auto n_reported = std::count_if(notes.begin(), notes.end(), [](const std::string& note) {
             return test::find_missing_part(note, "0 of 8 ... train.frame_memory_mib=0").empty();
         });
@@ -198,20 +198,15 @@ TEST_F(FramesInTurn, TrainTheSameSceneBitByBit) {
     };
     for (const char* batch : {"rays", "columns"}) {
         const TrainResult stay = trained(2048, batch), come = trained(0, batch);
-        const Surfels &a = stay.scene.surfels, &b = come.scene.surfels;
-        EXPECT_TRUE(a.mean == b.mean && a.rotation == b.rotation && a.log_scale == b.log_scale &&
-                    a.opacity_logit == b.opacity_logit && a.sh == b.sh)
-            << batch;
+        test::expect_same_surfels(stay.scene.surfels, come.scene.surfels);
         EXPECT_EQ(stay.scene.sensor_drop.probability, come.scene.sensor_drop.probability) << batch;
         ASSERT_TRUE(stay.poses && come.poses);
-        for (std::size_t k = 0; k < stay.poses->world_from_vehicle.pose.size(); ++k) {
-            EXPECT_EQ(stay.poses->world_from_vehicle.pose[k].translation,
-                      come.poses->world_from_vehicle.pose[k].translation)
-                << batch;
-            EXPECT_EQ(stay.poses->world_from_vehicle.pose[k].rotation,
-                      come.poses->world_from_vehicle.pose[k].rotation)
-                << batch;
-        }
+        EXPECT_TRUE(std::ranges::equal(stay.poses->world_from_vehicle.pose,
+                                       come.poses->world_from_vehicle.pose,
+                                       [](const Pose& a, const Pose& b) {
+                                           return a.translation == b.translation && a.rotation == b.rotation;
+                                       }))
+            << batch;
     }
 }
 
@@ -243,8 +238,7 @@ TEST_F(FramesInTurn, AreCellsOfAGrid) {
     Config config = make_preset_config("quick");
     config.train.grid = "kitti360";
     const TrainTestSplit split{positions(log), {}};
-    EXPECT_THAT(error_message<UsageError>(
-                    [&] { train(device(), log, split, config, [](const TrainProgress&) { return true; }); }),
+    EXPECT_THAT(error_message<UsageError>([&] { train(device(), log, split, config); }),
                 test::Names("train.grid=kitti360 ... train.sensor_drop ... train.grid=native"));
 }
 

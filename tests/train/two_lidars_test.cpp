@@ -42,7 +42,7 @@ TEST_F(TwoLidars, TrainTogetherAndRenderEach) {
     EXPECT_NE(report_text.find("scans registered"), std::string::npos) << report_text;
     const auto trained = [&](int iterations) {
         config.train.iterations = iterations;
-        return train(device(), street, split, config, [](const TrainProgress&) { return true; });
+        return train(device(), street, split, config);
     };
     const TrainResult result = trained(60), untrained = trained(0);
     EXPECT_LT(result.log.back().loss, 0.7 * result.log.front().loss);

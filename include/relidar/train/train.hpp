@@ -135,7 +135,7 @@ void prepare_log_for_training(LidarSequence& sequence, const TrainTestSplit& spl
 /// @throws DataError if a parameter is not finite. The message names array and row.
 /// @throws DeviceError if the device fails
 TrainResult train(Device& device, const LidarSequence& sequence, const TrainTestSplit& split,
-                  const Config& config, const TrainProgressCallback& progress,
+                  const Config& config, const TrainProgressCallback& progress = {},
                   const TrainSession& session = {});
 
 struct HeldOutPoseCallbacks {

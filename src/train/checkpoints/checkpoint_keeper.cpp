@@ -10,6 +10,7 @@
 #include <relidar/run/run.hpp>
 
 #include "base/fail.hpp"
+#include "train/checkpoints/fingerprint.hpp"
 #include "train/checkpoints/resume.hpp"
 #include "train/train_loop.hpp"
 
@@ -63,7 +64,7 @@ CheckpointKeeper::CheckpointKeeper(const LidarSequence& sequence, const TrainTes
       folder_(session.checkpoints, session.start ? session.start->iteration : 0, "iteration", session.note) {
     if (folder_.is_enabled())
         texts_ = std::async(std::launch::async, [&sequence, &split, &config] {
-            return list_settings_and_hashes_for_resume(sequence, split, config);
+            return make_resume_texts(list_config_keys(config), compute_log_fingerprints(sequence, split));
         });
 }
 

@@ -96,12 +96,7 @@ void add_surfels_to_hash(RunningHash& hash, const Surfels& surfels) {
     }
 }
 
-std::string format_checkpoint_mismatch_message(const std::string& action, const std::string& description,
-                                               const std::string& found_value,
-                                               const std::string& expected_value) {
-    return fmt::format("{}: {}: found {}, expected {} as in the checkpoint", action, description, found_value,
-                       expected_value);
-}
+constexpr const char* kMismatch = "{}: {}: found {}, expected {} as in the checkpoint";
 
 }  // namespace
 
@@ -123,13 +118,12 @@ ResumeFingerprint compute_scene_fingerprint(const Scene& scene) {
     return {"scene", "the scene", hash.get_hex_digest()};
 }
 
-void add_setting_to_checkpoint_texts(const ConfigKey& setting,
-                                     std::map<std::string, std::string>& checkpoint_texts) {
-    checkpoint_texts[kSetting + setting.key] = setting.value;
-}
-void add_fingerprint_to_checkpoint_texts(const ResumeFingerprint& fingerprint,
-                                         std::map<std::string, std::string>& checkpoint_texts) {
-    checkpoint_texts[fingerprint.key] = fingerprint.value;
+std::map<std::string, std::string> make_resume_texts(const std::vector<ConfigKey>& settings,
+                                                     const std::vector<ResumeFingerprint>& fingerprints) {
+    std::map<std::string, std::string> texts;
+    for (const ConfigKey& setting : settings) texts[kSetting + setting.key] = setting.value;
+    for (const ResumeFingerprint& fingerprint : fingerprints) texts[fingerprint.key] = fingerprint.value;
+    return texts;
 }
 
 void require_same_as_in_checkpoint(const std::vector<ConfigKey>& settings, const Checkpoint& checkpoint,
@@ -141,8 +135,7 @@ void require_same_as_in_checkpoint(const std::vector<ConfigKey>& settings, const
             fail("{}: the checkpoint has no value for the setting {}; {}", error_prefix, setting.key,
                  kTrainAgain);
         if (it->second != setting.value)
-            throw UsageError(format_checkpoint_mismatch_message(error_prefix, "setting " + setting.key,
-                                                                setting.value, it->second));
+            fail<UsageError>(kMismatch, error_prefix, "setting " + setting.key, setting.value, it->second);
     }
 }
 
@@ -150,9 +143,7 @@ void require_same_as_in_checkpoint(const Checkpoint& checkpoint, const ResumeFin
                                    const std::string& error_prefix) {
     const auto it = checkpoint.texts.find(fingerprint.key);
     const std::string saved = it == checkpoint.texts.end() ? "nothing" : it->second;
-    if (saved != fingerprint.value)
-        throw DataError(
-            format_checkpoint_mismatch_message(error_prefix, fingerprint.what, fingerprint.value, saved));
+    if (saved != fingerprint.value) fail(kMismatch, error_prefix, fingerprint.what, fingerprint.value, saved);
 }
 
 std::map<std::string, std::string> read_checkpoint_settings(const Checkpoint& checkpoint) {

@@ -28,10 +28,9 @@ std::vector<ResumeFingerprint> compute_log_fingerprints(const LidarSequence& seq
 /// @throws DataError if the file of a block is invalid
 ResumeFingerprint compute_scene_fingerprint(const Scene& scene);
 
-void add_setting_to_checkpoint_texts(const ConfigKey& setting,
-                                     std::map<std::string, std::string>& checkpoint_texts);
-void add_fingerprint_to_checkpoint_texts(const ResumeFingerprint& fingerprint,
-                                         std::map<std::string, std::string>& checkpoint_texts);
+/// The texts of a checkpoint that require_same_as_in_checkpoint() compares.
+std::map<std::string, std::string> make_resume_texts(const std::vector<ConfigKey>& settings,
+                                                     const std::vector<ResumeFingerprint>& fingerprints);
 /// Compares settings or a hash with the values in a checkpoint.
 /// @param error_prefix  start of the error message
 /// @throws UsageError if a setting has another value

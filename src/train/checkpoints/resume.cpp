@@ -59,28 +59,16 @@ struct LogColumns {
 
 TrainProgress make_progress_line(int step, const Config& config, double elapsed_s,
                                  const std::array<double, kLossTerms>& loss_terms, std::uint32_t n_surfels) {
-    TrainProgress p;
-    p.iteration = step;
-    p.n_iterations = config.train.iterations;
-    p.seconds = elapsed_s;
-    p.iterations_per_second = step / std::max(elapsed_s, 1e-9);
-    p.terms = loss_terms;
-    p.loss = std::accumulate(loss_terms.begin(), loss_terms.end(), 0.0);
-    p.n_surfels = n_surfels;
-    return p;
+    return {.iteration = step,
+            .n_iterations = config.train.iterations,
+            .seconds = elapsed_s,
+            .iterations_per_second = step / std::max(elapsed_s, 1e-9),
+            .terms = loss_terms,
+            .loss = std::accumulate(loss_terms.begin(), loss_terms.end(), 0.0),
+            .n_surfels = n_surfels};
 }
 
 }  // namespace
-
-std::map<std::string, std::string> list_settings_and_hashes_for_resume(const LidarSequence& sequence,
-                                                                       const TrainTestSplit& split,
-                                                                       const Config& config) {
-    std::map<std::string, std::string> texts;
-    for (const ConfigKey& key : list_config_keys(config)) add_setting_to_checkpoint_texts(key, texts);
-    for (const ResumeFingerprint& mark : compute_log_fingerprints(sequence, split))
-        add_fingerprint_to_checkpoint_texts(mark, texts);
-    return texts;
-}
 
 std::string find_setting_that_prevents_resuming(const Config& config, const Config& other_config) {
     const std::vector<ConfigKey> a = list_config_keys(config), b = list_config_keys(other_config);

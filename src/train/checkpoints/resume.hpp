@@ -14,11 +14,6 @@
 
 namespace relidar {
 
-/// Settings and hashes that must be the same when training is resumed.
-std::map<std::string, std::string> list_settings_and_hashes_for_resume(const LidarSequence& sequence,
-                                                                       const TrainTestSplit& split,
-                                                                       const Config& config);
-
 /// The training log, the time of the initialisation and the training time.
 /// @param training_time_s  seconds since training started
 void write_training_log_and_times(CheckpointWriter& writer, const TrainResult& result,

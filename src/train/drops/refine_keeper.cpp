@@ -23,6 +23,14 @@ std::vector<ResumeFingerprint> compute_run_fingerprints(const TrainedRun& run) {
     return marks;
 }
 
+/// The settings that affect the network.
+std::vector<ConfigKey> list_network_settings(const Config& config) {
+    std::vector<ConfigKey> settings = list_config_keys(config);
+    std::erase_if(settings,
+                  [](const ConfigKey& key) { return !can_setting_affect_ray_drop_network(key.key); });
+    return settings;
+}
+
 }  // namespace
 
 RayDropCheckpointKeeper::RayDropCheckpointKeeper(const TrainedRun& run, const RayDropTrainingSession& session)
@@ -31,12 +39,7 @@ RayDropCheckpointKeeper::RayDropCheckpointKeeper(const TrainedRun& run, const Ra
               session.note) {
     if (!folder_.is_enabled()) return;
     texts_ = std::async(std::launch::async, [&run] {
-        std::map<std::string, std::string> texts;
-        for (const ConfigKey& key : list_config_keys(run.config))
-            if (can_setting_affect_ray_drop_network(key.key)) add_setting_to_checkpoint_texts(key, texts);
-        for (const ResumeFingerprint& mark : compute_run_fingerprints(run))
-            add_fingerprint_to_checkpoint_texts(mark, texts);
-        return texts;
+        return make_resume_texts(list_network_settings(run.config), compute_run_fingerprints(run));
     });
 }
 
@@ -62,10 +65,7 @@ RayDropTrainState read_network_training_state(const Checkpoint& checkpoint) {
 void require_network_training_is_resumable(const Checkpoint& checkpoint, const TrainedRun& run) {
     const std::string doing =
         fmt::format("cannot resume the ray-drop network from step {}", checkpoint.iteration);
-    std::vector<ConfigKey> settings = list_config_keys(run.config);
-    std::erase_if(settings,
-                  [](const ConfigKey& key) { return !can_setting_affect_ray_drop_network(key.key); });
-    require_same_as_in_checkpoint(settings, checkpoint, doing);
+    require_same_as_in_checkpoint(list_network_settings(run.config), checkpoint, doing);
     for (const ResumeFingerprint& mark : compute_run_fingerprints(run))
         require_same_as_in_checkpoint(checkpoint, mark, doing);
     read_network_training_state(checkpoint);  // throws an error if the state is incomplete

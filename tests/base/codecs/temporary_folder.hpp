@@ -17,14 +17,22 @@
 
 namespace relidar {
 
+/// A new folder that is deleted with this object.
+struct ScratchFolder {
+    std::filesystem::path path;
+
+    ScratchFolder() {
+        std::string pattern = (std::filesystem::temp_directory_path() / "relidar-test-XXXXXX").string();
+        if (::mkdtemp(pattern.data())) path = pattern;
+    }
+    ~ScratchFolder() { std::filesystem::remove_all(path); }
+    ScratchFolder(const ScratchFolder&) = delete;
+    ScratchFolder& operator=(const ScratchFolder&) = delete;
+};
+
 class TemporaryFolder : public testing::Test {
 protected:
-    void SetUp() override {
-        std::string pattern = (std::filesystem::temp_directory_path() / "relidar-export-XXXXXX").string();
-        ASSERT_NE(::mkdtemp(pattern.data()), nullptr);
-        folder = pattern;
-    }
-    void TearDown() override { std::filesystem::remove_all(folder); }
+    void SetUp() override { ASSERT_FALSE(folder.empty()); }
 
     std::vector<std::string> files() const {
         std::vector<std::string> names;
@@ -33,7 +41,8 @@ protected:
         return names;
     }
 
-    std::filesystem::path folder;
+    ScratchFolder scratch;
+    const std::filesystem::path folder = scratch.path;
 };
 
 inline std::string read_contents(const std::filesystem::path& path) {

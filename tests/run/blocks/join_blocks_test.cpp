@@ -32,9 +32,6 @@ protected:
     void SetUp() override {
         DeviceTest::SetUp();
         if (IsSkipped() || HasFatalFailure()) return;
-        std::string pattern = (fs::temp_directory_path() / "relidar-blocks-XXXXXX").string();
-        ASSERT_NE(::mkdtemp(pattern.data()), nullptr);
-        folder = pattern;
         log = test::log_along(kFrames, [](int index) { return glm::dvec3(10.0 * index, 0.0, 0.0); });
         log.lidars[0].sensor.beams = {{0.02}, {-0.05}};
         log.lidars[0].sensor.columns = 64;
@@ -57,10 +54,6 @@ protected:
         for (std::size_t k = 0; k < blocks.size(); ++k) save_block(k);
         join_trained_blocks(run, blocks, folders);
         save_run(run);
-    }
-    void TearDown() override {
-        if (!folder.empty()) fs::remove_all(folder);
-        DeviceTest::TearDown();
     }
 
     /// Saves block `index` in the same way as training. Blocks 0 and 1 contain the car.
@@ -90,7 +83,8 @@ protected:
         return renderer.render(make_sensor_from_config(config, log), log.frames[std::size_t(frame)].time_s);
     }
 
-    fs::path folder;
+    ScratchFolder scratch;
+    const fs::path folder = scratch.path;
     LidarSequence log;
     relidar::TrainedRun run;
     Scene full_scene;

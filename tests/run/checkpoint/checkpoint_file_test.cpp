@@ -98,7 +98,7 @@ TEST_F(CheckpointFile, CutAnywhereItIsRefusedAndTheOneBeforeIsTaken) {
         SCOPED_TRACE(length);
         put(newest, file_bytes.substr(0, length));
         const std::string message = get_data_error_message([&] { read_checkpoint(newest); });
-        EXPECT_NE(message.find(newest.string()), std::string::npos) << message;
+        EXPECT_THAT(message, test::Names(newest.string())) << message;
         const Loaded loaded = load(folder);
         ASSERT_TRUE(loaded.checkpoint);
         EXPECT_EQ(loaded.checkpoint->iteration, 100);
@@ -136,12 +136,11 @@ TEST_F(CheckpointFile, OtherVersionsAndFormatsAreRefused) {
         write_safetensors(folder / "a", arrays, texts);
         return get_data_error_message([&] { read_checkpoint(folder / "a"); });
     };
-    EXPECT_NE(message("version", "2").find("metadata version: found \"2\", expected \"1\""),
-              std::string::npos);
-    EXPECT_NE(message("format", "relidar model").find("expected \"relidar checkpoint\""), std::string::npos);
+    EXPECT_THAT(message("version", "2"), test::Names("metadata version: found \"2\", expected \"1\""));
+    EXPECT_THAT(message("format", "relidar model"), test::Names("expected \"relidar checkpoint\""));
     EXPECT_THAT(message("crc32", ""), test::Names("\"crc32\" ... missing"));
-    EXPECT_NE(message("setting/loss.depth", "0.2").find("checksum"), std::string::npos);
-    EXPECT_NE(message("iteration", "").find("checksum"), std::string::npos);
+    EXPECT_THAT(message("setting/loss.depth", "0.2"), test::Names("checksum"));
+    EXPECT_THAT(message("iteration", ""), test::Names("checksum"));
 }
 
 TEST_F(CheckpointFile, NumbersThatAreNotFiniteAreRefused) {
@@ -152,11 +151,10 @@ TEST_F(CheckpointFile, NumbersThatAreNotFiniteAreRefused) {
         write("moments", std::vector<float>{1.0f, 2.0f, bad});
         const std::string before =
             get_data_error_message([&] { require_finite_checkpoint_arrays(checkpoint); });
-        EXPECT_NE(before.find("row 2 of array \"moments\""), std::string::npos) << before;
+        EXPECT_THAT(before, test::Names("row 2 of array \"moments\"")) << before;
         write_checkpoint(folder / "a", checkpoint);
-        EXPECT_NE(
-            get_data_error_message([&] { read_checkpoint(folder / "a"); }).find("row 2 of array \"moments\""),
-            std::string::npos);
+        EXPECT_THAT(get_data_error_message([&] { read_checkpoint(folder / "a"); }),
+                    test::Names("row 2 of array \"moments\""));
     }
 }
 
@@ -187,16 +185,15 @@ TEST_F(CheckpointFile, NoneIsNothingAndOnlyDamagedOnesAreAnError) {
     EXPECT_FALSE(load(folder).checkpoint);
     save_checkpoint(folder, example(10), 2);
     put(list_checkpoints(folder).back(), "damaged");
-    EXPECT_NE(get_data_error_message([&] { load(folder); }).find("contains 1 checkpoint"), std::string::npos);
+    EXPECT_THAT(get_data_error_message([&] { load(folder); }), test::Names("contains 1 checkpoint"));
 }
 
 TEST_F(CheckpointFile, AFullDiskLosesNothing) {
     save_checkpoint(folder, example(10), 1);
     {
         const test::FileSizeLimit limit(256);
-        EXPECT_NE(
-            get_data_error_message([&] { save_checkpoint(folder, example(20), 1); }).find("File too large"),
-            std::string::npos);
+        EXPECT_THAT(get_data_error_message([&] { save_checkpoint(folder, example(20), 1); }),
+                    test::Names("File too large"));
     }
     EXPECT_EQ(files().size(), 1u);
     EXPECT_EQ(load(folder).checkpoint->iteration, 10);

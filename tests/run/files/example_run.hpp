@@ -29,6 +29,19 @@ inline Surfels make_example_surfels(std::size_t count) {
     return surfels;
 }
 
+inline RayDropNetwork make_example_network() {
+    RayDropNetwork network;
+    network.image = "kitti360";
+    network.inputs = {"log_range", "intensity", "drop_logit"};
+    network.widths = {4, 8};
+    network.heads = 2;
+    network.residual = false;
+    network.normalisation = {1.0f / 3.0f, -2.0f, 1e-20f, 0.0f, 5.0f, 6.0f};
+    for (int i = 0; i < 1000; ++i) network.parameters.push_back(std::sin(float(i)) / 3.0f);
+    network.running = {0.1f, 0.2f};
+    return network;
+}
+
 inline TrainedRun make_example_run(const std::filesystem::path& folder) {
     TrainedRun run;
     run.folder = folder;

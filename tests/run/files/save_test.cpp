@@ -3,51 +3,20 @@
 // folder must remain until the new run is written.
 #include <relidar/run/run.hpp>
 
-#include <csignal>
-
-#include <sys/resource.h>
-
 #include <gmock/gmock.h>
 
+#include "../../support/file_size_limit.hpp"
 #include "saved_run.hpp"
 
 namespace relidar {
 namespace {
 
-/// Simulates a full disk while the object exists: files of this process cannot grow.
-class FullDisk {
-public:
-    explicit FullDisk(rlim_t n_bytes) : handler_(std::signal(SIGXFSZ, SIG_IGN)) {
-        ::getrlimit(RLIMIT_FSIZE, &before_);
-        const rlimit limit{n_bytes, before_.rlim_max};
-        ::setrlimit(RLIMIT_FSIZE, &limit);
-    }
-    ~FullDisk() {
-        ::setrlimit(RLIMIT_FSIZE, &before_);
-        std::signal(SIGXFSZ, handler_);
-    }
-    FullDisk(const FullDisk&) = delete;
-    FullDisk& operator=(const FullDisk&) = delete;
-
-private:
-    rlimit before_{};
-    void (*handler_)(int);
-};
-
 TEST_F(SavedRun, IsSavedCompleteOrNotAtAll) {
     const std::string model = read_contents(run.folder / kModelFile);
     relidar::TrainedRun grown = run;
-    RayDropNetwork& network = grown.drop_network;
-    network.image = "kitti360";
-    network.inputs = {"log_range", "intensity", "drop_logit"};
-    network.widths = {4, 8};
-    network.heads = 2;
-    network.residual = false;
-    network.normalisation = {0.5f, -2.0f, 1.0f, 0.0f, 5.0f, 6.0f};
-    network.parameters.assign(1000, 0.25f);
-    network.running = {0.1f, 0.2f};
+    grown.drop_network = make_example_network();
     for (rlim_t n_bytes = 0; n_bytes < 40'000; n_bytes += 5'000) {
-        const FullDisk full(n_bytes);
+        const test::FileSizeLimit full(n_bytes);
         for (const char* name : {"new", "run"}) {
             grown.folder = folder / name;
             try {

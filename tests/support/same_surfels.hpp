@@ -1,0 +1,19 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <algorithm>
+
+#include <gtest/gtest.h>
+
+#include <relidar/scene/device_scene.hpp>
+
+namespace relidar::test {
+
+/// Expects that all parameters have the same bits.
+inline void expect_same_surfels(const Surfels& first, const Surfels& second) {
+    ASSERT_EQ(first.get_parameter_set(), second.get_parameter_set());
+    for (const SurfelParameterGroup& group : list_parameter_groups(first.get_parameter_set()))
+        EXPECT_TRUE(std::ranges::equal(group.values(first), group.values(second))) << group.name;
+}
+
+}  // namespace relidar::test
