@@ -3,6 +3,7 @@
 // an error with a single line. Presets must equal docs/method.md.
 #include <relidar/run/stage_options.hpp>
 
+#include <array>
 #include <map>
 #include <set>
 
@@ -183,33 +184,23 @@ TEST(Config, UnknownKeyNamesTheNearest) {
 }
 
 TEST(Config, BadValuesGetOneClearLine) {
-    EXPECT_THAT(set_error("loss.depth", "abc"),
-                test::Names("setting loss.depth: found \"abc\" ... number of at least 0"));
-    EXPECT_THAT(set_error("loss.depth", "-0.1"),
-                test::Names("setting loss.depth: found \"-0.1\" ... number of at least 0"));
-    EXPECT_THAT(set_error("loss.depth", "nan"),
-                test::Names("setting loss.depth: found \"nan\" ... number of at least 0"));
-    EXPECT_THAT(set_error("loss.depth", "inf"),
-                test::Names("setting loss.depth: found \"inf\" ... number of at least 0"));
-    EXPECT_THAT(set_error("loss.depth", "1e99"),
-                test::Names("setting loss.depth: found \"1e99\" ... number of at least 0"));
-    EXPECT_THAT(set_error("loss.depth", ""),
-                test::Names("setting loss.depth: found \"\" ... number of at least 0"));
-    EXPECT_THAT(set_error("loss.depth", "0.1 "),
-                test::Names("setting loss.depth: found \"0.1 \" ... number of at least 0"));
-    EXPECT_THAT(set_error("train.iterations", "1.5"),
-                test::Names("setting train.iterations: found \"1.5\" ... integer ... at least 0"));
-    EXPECT_THAT(set_error("train.iterations", "99999999999"),
-                test::Names("setting train.iterations: found \"99999999999\" ... integer ... at least 0"));
-    EXPECT_THAT(set_error("trace.chunk", "65"),
-                test::Names("trace.chunk ... \"65\" ... integer ... 1 to 64"));
-    EXPECT_THAT(set_error("init.voxel_m", "0"),
-                test::Names("setting init.voxel_m: found \"0\" ... number above 0"));
-    EXPECT_THAT(set_error("init.normals", "yes"), test::Names("init.normals ... \"yes\" ... true or false"));
-    EXPECT_THAT(set_error("image.sh_direction", "hit"),
-                test::Names("image.sh_direction ... \"hit\" ... ray, surfel"));
-    EXPECT_THAT(set_error("train.seed", "-1"),
-                test::Names("setting train.seed: found \"-1\" ... integer ... at least 0"));
+    for (const auto& [key, value, expected] : std::vector<std::array<const char*, 3>>{
+             {"loss.depth", "abc", "number of at least 0"},
+             {"loss.depth", "-0.1", "number of at least 0"},
+             {"loss.depth", "nan", "number of at least 0"},
+             {"loss.depth", "inf", "number of at least 0"},
+             {"loss.depth", "1e99", "number of at least 0"},
+             {"loss.depth", "", "number of at least 0"},
+             {"loss.depth", "0.1 ", "number of at least 0"},
+             {"train.iterations", "1.5", "integer ... at least 0"},
+             {"train.iterations", "99999999999", "integer ... at least 0"},
+             {"trace.chunk", "65", "integer ... 1 to 64"},
+             {"init.voxel_m", "0", "number above 0"},
+             {"init.normals", "yes", "true or false"},
+             {"image.sh_direction", "hit", "ray, surfel"},
+             {"train.seed", "-1", "integer ... at least 0"}})
+        EXPECT_THAT(set_error(key, value),
+                    test::Names(fmt::format("setting {} ... \"{}\" ... {}", key, value, expected)));
     EXPECT_THAT(set_error("dataset.poses", "a\nb"), test::Names("dataset.poses ... text"));
 }
 

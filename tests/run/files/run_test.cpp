@@ -30,6 +30,12 @@ protected:
         put(run.folder / "scene.json", changed.dump());
         return load_error();
     }
+    /// Same for one value of scene.json.
+    std::string replaced(const char* pointer, const Json& value) {
+        Json changed = Json::parse(scene);
+        changed[Json::json_pointer(pointer)] = value;
+        return get_error_with(changed);
+    }
 };
 
 void expect_equal(const Pose& first, const Pose& second) {
@@ -61,16 +67,16 @@ TEST_F(RunFolder, RefusesADamagedRayDropNetwork) {
     save_run(run);
     const auto file = run.folder / "drop_network.safetensors";
     const std::string file_bytes = read_contents(file);
-    const auto replaced = [&](const std::string& from, const std::string& to) {
+    const auto with_text = [&](const std::string& from, const std::string& to) {
         std::string text = file_bytes;
         text.replace(text.find(from), from.size(), to);
         put(file, text);
         return load_error();
     };
-    EXPECT_THAT(replaced("drop network", "lost network"),
+    EXPECT_THAT(with_text("drop network", "lost network"),
                 test::Names("drop_network.safetensors ... \"format\" ... \"relidar lost network\""));
-    EXPECT_THAT(replaced("heads\\\":2", "heads\\\":3"), test::Names("heads ... 3 ... divisor of 8"));
-    EXPECT_THAT(replaced("\"running\"", "\"walking\""), test::Names("array running ... missing"));
+    EXPECT_THAT(with_text("heads\\\":2", "heads\\\":3"), test::Names("heads ... 3 ... divisor of 8"));
+    EXPECT_THAT(with_text("\"running\"", "\"walking\""), test::Names("array running ... missing"));
     put(file, file_bytes.substr(0, file_bytes.size() - 5));
     EXPECT_THAT(load_error(), test::Names("drop_network.safetensors"));
     run.drop_network.parameters[7] = std::numeric_limits<float>::quiet_NaN();
@@ -379,12 +385,6 @@ TEST_F(RunFolder, EveryFieldIsNeeded) {
 }
 
 TEST_F(RunFolder, RefusesWrongFramesAndPoses) {
-    const Json scene_json = Json::parse(scene);
-    const auto replaced = [&](const char* pointer, const Json& value) {
-        Json changed = scene_json;
-        changed[Json::json_pointer(pointer)] = value;
-        return get_error_with(changed);
-    };
     EXPECT_THAT(replaced("/frames/2/time_s", nullptr),
                 test::Names("frames[2].time_s: found null ... finite"));
     EXPECT_NE(replaced("/frames/2/time_s", 0.0).find("frames[2].time_s: found 0"), std::string::npos);
@@ -401,19 +401,13 @@ TEST_F(RunFolder, RefusesWrongFramesAndPoses) {
 }
 
 TEST_F(RunFolder, RefusesWrongSensorsBoxesAndCounts) {
-    const Json scene_json = Json::parse(scene);
-    const auto replaced = [&](const char* pointer, const Json& value) {
-        Json changed = scene_json;
-        changed[Json::json_pointer(pointer)] = value;
-        return get_error_with(changed);
-    };
     EXPECT_NE(replaced("/lidars/0/sensor/spinning/beams/1/range_offset_m", 1e308)
                   .find("lidars[0].sensor.spinning.beams[1].range_offset_m: found 1e+308"),
               std::string::npos);
     EXPECT_NE(replaced("/lidars/0/sensor/spinning/beams/1/origin_up_m", 1e308)
                   .find("lidars[0].sensor.spinning.beams[1].origin_up_m: found 1e+308"),
               std::string::npos);
-    Json many = scene_json;
+    Json many = Json::parse(scene);
     Json& spinning = many["lidars"][0]["sensor"]["spinning"];
     spinning["columns"] = 1000000;
     for (int i = 0; i < 200; ++i) spinning["beams"].insert(spinning["beams"].begin(), spinning["beams"][0]);
@@ -485,18 +479,14 @@ TEST_F(RunFolder, WhatCannotBeReadBackIsNotWritten) {
 
 TEST_F(RunFolder, UnwritableFoldersFailEarly) {
     put(folder / "file", "x");
-    EXPECT_THAT(get_data_error_message([&] { create_folder_and_require_writable(folder / "file"); }),
-                test::Names("create"));
-    EXPECT_THAT(get_data_error_message([&] { create_folder_and_require_writable(folder / "file" / "run"); }),
-                test::Names("create"));
-    EXPECT_THAT(
-        get_data_error_message([&] { create_folder_and_require_writable(folder / std::string(300, 'x')); }),
-        test::Names("File name too long"));
     std::filesystem::create_symlink(folder / "loop", folder / "loop");
-    EXPECT_THAT(get_data_error_message([&] { create_folder_and_require_writable(folder / "loop" / "run"); }),
-                test::Names("Too many levels"));
-    EXPECT_THAT(get_data_error_message([&] { create_folder_and_require_writable("/proc/relidar"); }),
-                test::Names("/proc/relidar"));
+    for (const auto& [path, reason] : {std::pair(folder / "file", "create"),
+                                       {folder / "file" / "run", "create"},
+                                       {folder / std::string(300, 'x'), "File name too long"},
+                                       {folder / "loop" / "run", "Too many levels"},
+                                       {"/proc/relidar", "/proc/relidar"}})
+        EXPECT_THAT(get_data_error_message([&] { create_folder_and_require_writable(path); }),
+                    test::Names(reason));
     create_folder_and_require_writable(folder / "a" / "b");
     EXPECT_TRUE(std::filesystem::is_empty(folder / "a" / "b"));
 }
