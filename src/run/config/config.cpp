@@ -26,13 +26,7 @@
 namespace relidar {
 namespace {
 
-using config_detail::describe_accepted_values;
-using config_detail::format_setting_value;
-using config_detail::is_text;
-using config_detail::parse_setting_value;
-using config_detail::SettingHelp;
-using config_detail::SettingValueRange;
-using config_detail::visit_all_settings;
+using namespace config_detail;
 
 /// Quotes are known for a TOML file, but not for the command line, because the shell
 /// removes them.
@@ -43,10 +37,7 @@ struct ParsedValue {
 
 std::vector<std::string> list_all_setting_keys() {
     std::vector<std::string> keys;
-    visit_all_settings(static_cast<const Config&>(Config{}),
-                       [&](const char* key, const auto&, const SettingValueRange&, const SettingHelp&) {
-                           keys.emplace_back(key);
-                       });
+    for (const ConfigKey& key : list_config_keys(Config{})) keys.push_back(key.key);
     return keys;
 }
 
@@ -134,26 +125,6 @@ std::string quote_toml_string(const std::string& text) {
     return result + '"';
 }
 
-}  // namespace
-
-std::vector<ConfigKey> list_config_keys(const Config& config) {
-    std::vector<ConfigKey> keys;
-    visit_all_settings(config, [&](const char* key, const auto& field, const SettingValueRange& accepts,
-                                   const SettingHelp& help) {
-        using T = std::decay_t<decltype(field)>;
-        keys.push_back({key, format_setting_value(field, accepts),
-                        fmt::format("{} ({})", help.text, describe_accepted_values<T>(accepts)),
-                        help.expert});
-    });
-    return keys;
-}
-
-void set_config_value(Config& config, const std::string& key, const std::string& value) {
-    apply_setting(config, key, {value, ParsedValue::QuotedState::unknown});
-}
-
-namespace {
-
 /// @param check_file_settings  called with the settings of the file before they are
 /// applied
 template <class Check>
@@ -177,24 +148,6 @@ void read_config_file(Config& config, const std::filesystem::path& path, const C
     config = std::move(result);
 }
 
-}  // namespace
-
-void apply_config_file(Config& config, const std::filesystem::path& path) {
-    read_config_file(config, path, [](const std::map<std::string, ParsedValue>&) {});
-}
-
-Config load_saved_config(const std::filesystem::path& path) {
-    Config config;
-    try {
-        read_config_file(config, path, require_complete_and_known_settings);
-    } catch (const UsageError& error) {
-        throw DataError(error.what());
-    }
-    return config;
-}
-
-namespace {
-
 /// Groups the settings by table, with a comment for each setting.
 template <class Shown>
 std::string format_config_as_toml(const Config& config, const Shown& is_key_shown) {
@@ -215,6 +168,36 @@ std::string format_config_as_toml(const Config& config, const Shown& is_key_show
 }
 
 }  // namespace
+
+std::vector<ConfigKey> list_config_keys(const Config& config) {
+    std::vector<ConfigKey> keys;
+    visit_all_settings(config, [&](const char* key, const auto& field, const SettingValueRange& accepts,
+                                   const SettingHelp& help) {
+        using T = std::decay_t<decltype(field)>;
+        keys.push_back({key, format_setting_value(field, accepts),
+                        fmt::format("{} ({})", help.text, describe_accepted_values<T>(accepts)),
+                        help.expert});
+    });
+    return keys;
+}
+
+void set_config_value(Config& config, const std::string& key, const std::string& value) {
+    apply_setting(config, key, {value, ParsedValue::QuotedState::unknown});
+}
+
+void apply_config_file(Config& config, const std::filesystem::path& path) {
+    read_config_file(config, path, [](const std::map<std::string, ParsedValue>&) {});
+}
+
+Config load_saved_config(const std::filesystem::path& path) {
+    Config config;
+    try {
+        read_config_file(config, path, require_complete_and_known_settings);
+    } catch (const UsageError& error) {
+        throw DataError(error.what());
+    }
+    return config;
+}
 
 std::string to_toml(const Config& config) {
     return "# All settings of a relidar run. `relidar train --config` can read this file.\n" +

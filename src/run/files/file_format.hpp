@@ -1,34 +1,79 @@
 // SPDX-License-Identifier: Apache-2.0
+// Safetensors files of a run. The metadata contain the name and the version of a format.
 #pragma once
 
+#include <algorithm>
+#include <cmath>
+#include <filesystem>
 #include <map>
 #include <string>
+#include <vector>
 
-#include <fmt/format.h>
+#include <fmt/ranges.h>
 
-#include <relidar/base/error.hpp>
+#include <relidar/base/arrays.hpp>
 
 #include "base/fail.hpp"
 
 namespace relidar::run_detail {
 
-/// Of a safetensors file.
-/// @throws DataError with the value from the file
-inline void require_format_and_version(const std::map<std::string, std::string>& metadata,
-                                       const std::string& file_name, const std::string& expected_format,
-                                       const std::string& expected_version) {
-    const auto value = [&](const char* key) {
-        const auto it = metadata.find(key);
-        return it == metadata.end() ? std::string() : it->second;
-    };
-    if (value("format") != expected_format)
-        fail(
-            "{}: the entry \"format\" in the metadata of the file is \"{}\", expected \"{}\" as in a file "
-            "that relidar has written",
-            file_name, value("format"), expected_format);
-    if (value("version") != expected_version)
-        fail("{}: metadata version: found \"{}\", but relidar {} reads only version {}; train the run again",
-             file_name, value("version"), RELIDAR_VERSION, expected_version);
+inline constexpr auto kAnyLength = static_cast<std::size_t>(-1);
+
+struct ArrayFile {
+    std::string path;
+    std::map<std::string, std::string> metadata;
+    std::vector<NamedArray> arrays;
+
+    /// @throws DataError if the file has another format or version
+    ArrayFile(const std::filesystem::path& file, const std::string& format, const std::string& version)
+        : path(file.string()), arrays(read_safetensors(file, &metadata)) {
+        if (metadata["format"] != format)
+            fail(
+                "{}: the entry \"format\" in the metadata of the file is \"{}\", expected \"{}\" as in a "
+                "file that relidar has written",
+                path, metadata["format"], format);
+        if (metadata["version"] != version)
+            fail(
+                "{}: metadata version: found \"{}\", but relidar {} reads only version {}; train the run "
+                "again",
+                path, metadata["version"], RELIDAR_VERSION, version);
+    }
+    /// @param shape  kAnyLength for a dimension of any length
+    /// @throws DataError if the array is missing or has another type or shape
+    const NamedArray& find(const std::string& name, const char* dtype,
+                           const std::vector<std::size_t>& shape) const {
+        const NamedArray* array = find_array(arrays, name);
+        if (!array) fail("{}: the array {} is missing", path, name);
+        const auto is_length = [](std::size_t n, std::size_t expected) {
+            return expected == kAnyLength || n == expected;
+        };
+        if (array->dtype == dtype && std::ranges::equal(array->shape, shape, is_length)) return *array;
+        std::vector<std::string> lengths;
+        for (const std::size_t n : shape) lengths.push_back(n == kAnyLength ? "n" : fmt::format("{}", n));
+        fail("{}: the array {} has the type {} and the shape [{}], expected the type {} and the shape [{}]",
+             path, name, array->dtype, fmt::join(array->shape, ", "), dtype, fmt::join(lengths, ", "));
+    }
+    /// @throws DataError like find(), and if a number is not finite
+    std::vector<double> find_numbers(const std::string& name, const char* dtype,
+                                     std::size_t count = kAnyLength) const {
+        const std::vector<double> values = find(name, dtype, {count}).convert_to_doubles();
+        for (std::size_t i = 0; i < values.size(); ++i)
+            if (!std::isfinite(values[i]))
+                fail("{}: array {}: entry {} is {}, expected a finite number", path, name, i, values[i]);
+        return values;
+    }
+};
+
+inline void write_array_file(const std::filesystem::path& path, const std::vector<NamedArray>& arrays,
+                             const std::string& format, const std::string& version,
+                             std::map<std::string, std::string> metadata = {}) {
+    metadata.insert({{"format", format}, {"version", version}, {"relidar", RELIDAR_VERSION}});
+    write_safetensors(path, arrays, metadata);
+}
+
+template <class Value>
+NamedArray make_vector_array(const std::string& name, const std::vector<Value>& values) {
+    return make_array(name, {values.size()}, values.data(), values.size());
 }
 
 }  // namespace relidar::run_detail

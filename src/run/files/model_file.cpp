@@ -40,27 +40,6 @@ void require_finite_surfel_parameters(const SurfelParameterGroup& group, const S
     fail("{}: array {}: row {} contains {}, expected finite numbers", file_name, group.name, row, *bad);
 }
 
-const NamedArray& require_array_by_name(const std::vector<NamedArray>& arrays, std::string_view name,
-                                        const std::string& file_name) {
-    const NamedArray* array = find_array(arrays, name);
-    if (!array) fail("{}: the array {} is missing", file_name, name);
-    return *array;
-}
-
-void read_parameter_group(const SurfelParameterGroup& group, const NamedArray& array, Surfels& surfels,
-                          const std::string& file_name) {
-    const std::vector<std::size_t> expected = group.get_array_shape(surfels.size());
-    if (array.shape != expected || array.dtype != "f4") {
-        fail(
-            "{}: the array {} has the type {} and the shape [{}], expected the type f4 (32-bit float) and "
-            "the shape [{}]",
-            file_name, group.name, array.dtype, fmt::join(array.shape, ", "), fmt::join(expected, ", "));
-    }
-    const std::vector<float> values = array.convert_to_floats();
-    std::ranges::copy(values, group.mutable_values(surfels).begin());
-    require_finite_surfel_parameters(group, surfels, file_name);
-}
-
 /// 0, 0, 0 means that the model is unbounded.
 glm::vec3 read_box_half_size_m(const JsonField& model) {
     const std::array<double, 3> v = model.at("half_size_m").get_numbers<3>();
@@ -172,19 +151,14 @@ void parse_blocks_json(const std::string& json_text, const std::string& error_lo
 constexpr const char* kSensorDrop = "sensor_drop";
 
 /// [channels, bins], if the file contains it.
-void read_sensor_drop_table(const std::vector<NamedArray>& arrays, Scene& scene,
-                            const std::string& file_name) {
-    const auto it =
-        std::find_if(arrays.begin(), arrays.end(), [](const NamedArray& a) { return a.name == kSensorDrop; });
-    if (it == arrays.end()) return;
-    if (it->shape.size() != 2 || it->dtype != "f4" || it->shape[0] > 65536 || it->shape[1] > 65536)
-        fail("{}: array {}: found {} [{}], expected f4 [channels, bins]", file_name, kSensorDrop, it->dtype,
-             fmt::join(it->shape, ", "));
-    scene.sensor_drop = {static_cast<int>(it->shape[0]), static_cast<int>(it->shape[1]),
-                         it->convert_to_floats()};
+void read_sensor_drop_table(const run_detail::ArrayFile& file, Scene& scene) {
+    using run_detail::kAnyLength;
+    if (!find_array(file.arrays, kSensorDrop)) return;
+    const NamedArray& array = file.find(kSensorDrop, "f4", {kAnyLength, kAnyLength});
+    scene.sensor_drop = {int(array.shape[0]), int(array.shape[1]), array.convert_to_floats()};
     for (const float p : scene.sensor_drop.probability)
         if (!(p >= 0.0f && p <= 1.0f))
-            fail("{}: array {}: found {}, expected probabilities from 0 to 1", file_name, kSensorDrop, p);
+            fail("{}: array {}: found {}, expected probabilities from 0 to 1", file.path, kSensorDrop, p);
 }
 
 }  // namespace
@@ -230,49 +204,37 @@ void save_scene_to_model_file(const std::filesystem::path& path, const Scene& sc
         arrays.push_back(make_array(kSensorDrop, {std::size_t(drop.channels), std::size_t(drop.bins)},
                                     drop.probability.data(), drop.probability.size()));
     std::map<std::string, std::string> metadata{
-        {"format", kModelFormat},
-        {"version", kModelVersion},
-        {"relidar", RELIDAR_VERSION},
         {kPrimitiveKey, get_primitive_properties(scene.surfels.primitive).name},
         {"layout", format_scene_layout_json(scene)}};
     if (!scene.blocks.empty()) metadata[kBlocks] = format_blocks_json(scene, path.parent_path());
-    write_safetensors(path, arrays, metadata);
+    run_detail::write_array_file(path, arrays, kModelFormat, kModelVersion, std::move(metadata));
 }
 
 Scene load_scene_from_model_file(const std::filesystem::path& path) {
-    const std::string file = path.string();
-    if (!does_path_exist(path)) fail("{}: no such file", file);
-    std::map<std::string, std::string> metadata;
-    const std::vector<NamedArray> arrays = read_safetensors(path, &metadata);
-    run_detail::require_format_and_version(metadata, file, kModelFormat, kModelVersion);
-    if (!metadata.contains("layout"))
+    if (!does_path_exist(path)) fail("{}: no such file", path.string());
+    const run_detail::ArrayFile file(path, kModelFormat, kModelVersion);
+    const auto layout = file.metadata.find("layout"), blocks = file.metadata.find(kBlocks);
+    if (layout == file.metadata.end())
         fail("{}: the metadata has no entry \"layout\", expected a model file that relidar has written",
-             file);
-    const NamedArray& mean = require_array_by_name(arrays, "mean", file);
-    if (mean.shape.empty() || mean.shape[0] > static_cast<std::size_t>(kMaxSurfels))
-        fail(
-            "{}: the array \"mean\" (centres of the surfels) has the shape [{}], expected [n, 3] with n of "
-            "at most {}",
-            file, fmt::join(mean.shape, ", "), kMaxSurfels);
-    const SurfelParameterSet parameters = read_surfel_parameter_set(
-        file, metadata, kPrimitiveKey, [&](const char* name) { return find_array(arrays, name) != nullptr; });
+             file.path);
+    const std::size_t n = file.find("mean", "f4", {run_detail::kAnyLength, 3}).shape[0];
+    const SurfelParameterSet parameters =
+        read_surfel_parameter_set(file.path, file.metadata, kPrimitiveKey,
+                                  [&](const char* name) { return find_array(file.arrays, name) != nullptr; });
     // before memory is allocated
-    for (const SurfelParameterGroup& group : list_parameter_groups(parameters)) {
-        const NamedArray& array = require_array_by_name(arrays, group.name, file);
-        if (array.shape.empty() || array.shape[0] != mean.shape[0])
-            fail(
-                "{}: the array \"{}\" has the shape [{}], expected {} rows, as many as the array \"mean\" "
-                "has",
-                file, group.name, fmt::join(array.shape, ", "), mean.shape[0]);
-    }
-    Scene scene;
-    scene.surfels.resize(mean.shape[0], parameters);
     for (const SurfelParameterGroup& group : list_parameter_groups(parameters))
-        read_parameter_group(group, require_array_by_name(arrays, group.name, file), scene.surfels, file);
-    parse_scene_layout_json(metadata.at("layout"), file + ": metadata layout", scene);
-    read_sensor_drop_table(arrays, scene, file);
-    if (const auto blocks = metadata.find(kBlocks); blocks != metadata.end())
-        parse_blocks_json(blocks->second, file + ": metadata " + kBlocks, path.parent_path(), scene);
+        file.find(group.name, "f4", group.get_array_shape(n));
+    Scene scene;
+    scene.surfels.resize(n, parameters);
+    for (const SurfelParameterGroup& group : list_parameter_groups(parameters)) {
+        std::ranges::copy(find_array(file.arrays, group.name)->convert_to_floats(),
+                          group.mutable_values(scene.surfels).begin());
+        require_finite_surfel_parameters(group, scene.surfels, file.path);
+    }
+    parse_scene_layout_json(layout->second, file.path + ": metadata layout", scene);
+    read_sensor_drop_table(file, scene);
+    if (blocks != file.metadata.end())
+        parse_blocks_json(blocks->second, file.path + ": metadata " + kBlocks, path.parent_path(), scene);
     return scene;
 }
 

@@ -4,12 +4,6 @@
 #include <charconv>
 #include <cmath>
 
-#include <fmt/format.h>
-
-#include <relidar/base/arrays.hpp>
-#include <relidar/base/error.hpp>
-
-#include "base/fail.hpp"
 #include "run/files/file_format.hpp"
 
 namespace relidar::run_detail {
@@ -39,31 +33,21 @@ void save_azimuth_corrections(const std::filesystem::path& path, const LidarSequ
     for (std::size_t i = 0; i < sequence.frames.size(); ++i) {
         const std::vector<float>& shift_rad = sequence.frames[i].azimuth_shift_rad;
         if (shift_rad.empty()) continue;
-        arrays.push_back(
-            make_array(fmt::format("{:06}", i), {shift_rad.size()}, shift_rad.data(), shift_rad.size()));
+        arrays.push_back(make_vector_array(fmt::format("{:06}", i), shift_rad));
     }
     if (arrays.empty()) return void(std::filesystem::remove(path));
-    write_safetensors(path, arrays,
-                      {{"format", kSweepsFormat}, {"version", kSweepsVersion}, {"relidar", RELIDAR_VERSION}});
+    write_array_file(path, arrays, kSweepsFormat, kSweepsVersion);
 }
 
 void load_azimuth_corrections(const std::filesystem::path& path, LidarSequence& sequence) {
-    const std::string file = path.string();
-    std::map<std::string, std::string> metadata;
-    const std::vector<NamedArray> arrays = read_safetensors(path, &metadata);
-    require_format_and_version(metadata, file, kSweepsFormat, kSweepsVersion);
-    for (const NamedArray& array : arrays) {
-        LidarFrame& frame = get_frame_by_array_name(array.name, sequence, file);
+    const ArrayFile file(path, kSweepsFormat, kSweepsVersion);
+    for (const NamedArray& array : file.arrays) {
+        LidarFrame& frame = get_frame_by_array_name(array.name, sequence, file.path);
         const auto columns = std::size_t(sequence.get_lidar(frame).sensor.columns);
-        if (array.dtype != "f4" || array.shape != std::vector<std::size_t>{columns})
-            fail(
-                "{}: the array {} has the type {} and the shape [{}], expected the type f4 (32-bit float) "
-                "and the shape [{}], one value for each column of the LiDAR",
-                file, array.name, array.dtype, fmt::join(array.shape, ", "), columns);
-        frame.azimuth_shift_rad = array.convert_to_floats();
+        frame.azimuth_shift_rad = file.find(array.name, "f4", {columns}).convert_to_floats();
         for (const float shift : frame.azimuth_shift_rad)
             if (!(std::abs(shift) <= float(kPi)))
-                fail("{}: array {}: found {}, expected radians from -pi to pi", file, array.name, shift);
+                fail("{}: array {}: found {}, expected radians from -pi to pi", file.path, array.name, shift);
     }
 }
 

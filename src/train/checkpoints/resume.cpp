@@ -65,7 +65,8 @@ TrainProgress make_progress_line(int step, const Config& config, double elapsed_
             .iterations_per_second = step / std::max(elapsed_s, 1e-9),
             .terms = loss_terms,
             .loss = std::accumulate(loss_terms.begin(), loss_terms.end(), 0.0),
-            .n_surfels = n_surfels};
+            .n_surfels = n_surfels,
+            .densified = {}};
 }
 
 }  // namespace

@@ -108,7 +108,7 @@ TEST_F(ModelFile, GaussiansHaveASixthArray) {
     metadata["primitive"] = "gaussian";
     array("log_scale_w").shape = {2, 2};
     write_safetensors(path, arrays, metadata);
-    EXPECT_THAT(load_error(), test::Names("array \"log_scale_w\""));
+    EXPECT_THAT(load_error(), test::Names("array log_scale_w"));
     arrays.pop_back();
     write_safetensors(path, arrays, metadata);
     EXPECT_THAT(load_error(), test::Names("array log_scale_w ... missing"));
@@ -173,7 +173,7 @@ TEST_F(ModelFile, SensorDropRoundTripsAndIsChecked) {
     EXPECT_THAT(load_error(), test::Names("array sensor_drop: found 1.5"));
     arrays.back() = make_array("sensor_drop", {2}, bad, 2);
     write_safetensors(path, arrays, metadata);
-    EXPECT_THAT(load_error(), test::Names("array sensor_drop: found f4 [2], expected f4 [channels, bins]"));
+    EXPECT_THAT(load_error(), test::Names("array sensor_drop ... f4 ... [2] ... [n, n]"));
 }
 
 TEST_F(ModelFile, AnEmptySceneRoundTrips) {
@@ -207,7 +207,7 @@ TEST_F(ModelFile, ArraysAreChecked) {
     const float one_row[4] = {1, 0, 0, 0};
     array("rotation") = make_array("rotation", {1, 4}, one_row, 4);
     write_safetensors(path, arrays, metadata);
-    EXPECT_THAT(load_error(), test::Names("array \"rotation\" ... [1, 4] ... 4 rows"));
+    EXPECT_THAT(load_error(), test::Names("array rotation ... [1, 4] ... [4, 4]"));
 }
 
 TEST_F(ModelFile, ValuesThatAreNotFiniteAreNamed) {

@@ -239,10 +239,9 @@ TEST_F(RunFolder, CoverageRoundTripsExactly) {
                           {{"format", "relidar coverage"}, {"version", "1"}, {"cell_m", cell_m}});
         return load_error();
     };
-    EXPECT_THAT(
-        error_with_arrays(2, "1"),
-        test::Names("coverage.safetensors ... array place ... i4 ... [3, 2] ... i4 ... [n, 3] ... blocks"));
-    EXPECT_THAT(error_with_arrays(3, "1"), test::Names("positions ... 2 rows"));
+    EXPECT_THAT(error_with_arrays(2, "1"),
+                test::Names("coverage.safetensors ... array place ... i4 ... [3, 2] ... i4 ... [n, 3]"));
+    EXPECT_THAT(error_with_arrays(3, "1"), test::Names("cells ... [1, 32] ... [2, 32]"));
     EXPECT_THAT(error_with_arrays(3, "2"), test::Names("cell_m: found 2, expected 1"));
 }
 
