@@ -3,10 +3,6 @@
 
 #include <cmath>
 
-#include <fmt/format.h>
-
-#include <relidar/base/error.hpp>
-
 #include "base/fail.hpp"
 #include "train/readback_lag.hpp"
 

@@ -3,11 +3,7 @@
 
 #include <algorithm>
 #include <cmath>
-#include <iterator>
 
-#include <fmt/format.h>
-
-#include <relidar/base/error.hpp>
 #include <relidar/log/dataset.hpp>
 #include <relidar/log/registration.hpp>
 

@@ -4,10 +4,6 @@
 #include <algorithm>
 #include <chrono>
 
-#include <fmt/format.h>
-
-#include <relidar/base/error.hpp>
-
 #include "base/fail.hpp"
 #include "train/train_loop.hpp"
 

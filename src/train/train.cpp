@@ -7,9 +7,6 @@
 #include <chrono>
 #include <utility>
 
-#include <fmt/format.h>
-
-#include <relidar/base/error.hpp>
 #include <relidar/run/run.hpp>
 #include <relidar/run/stage_options.hpp>
 

@@ -10,9 +10,6 @@
 #include <numeric>
 #include <utility>
 
-#include <fmt/format.h>
-
-#include <relidar/base/error.hpp>
 #include <relidar/gpu/out_of_memory.hpp>
 #include <relidar/run/run.hpp>
 #include <relidar/run/stage_options.hpp>

@@ -7,10 +7,6 @@
 
 #include <set>
 
-#include <gmock/gmock.h>
-
-#include <relidar/base/error.hpp>
-
 #include "../base/codecs/temporary_folder.hpp"
 #include "../support/device.hpp"
 #include "support/names.hpp"

@@ -1,15 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 // Trains on a street in the format of SemanticKITTI and compares the channel `class` of
 // held-out scans with the exact classes of the street.
-#include <cmath>
 #include <cstring>
 #include <filesystem>
 #include <string>
-#include <utility>
-#include <vector>
 
 #include <fmt/format.h>
-#include <gtest/gtest.h>
 
 #include <relidar/log/dataset.hpp>
 #include <relidar/score/evaluation.hpp>

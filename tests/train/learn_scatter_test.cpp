@@ -5,8 +5,6 @@
 // the noisy points of the training frames.
 #include <cmath>
 
-#include <gtest/gtest.h>
-
 #include <relidar/log/dataset.hpp>
 #include <relidar/run/run.hpp>
 #include <relidar/simulate/render.hpp>

@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Tests the alignment of held-out scans with a trained street. The test compares with
 // exact poses.
-#include <gtest/gtest.h>
 
 #include <relidar/log/dataset.hpp>
 #include <relidar/run/run.hpp>

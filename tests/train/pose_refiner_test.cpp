@@ -5,10 +5,7 @@
 // and 0.3 degrees.
 #include <algorithm>
 #include <cmath>
-#include <map>
 #include <random>
-
-#include <gmock/gmock.h>
 
 #include <relidar/base/error.hpp>
 #include <relidar/log/dataset.hpp>

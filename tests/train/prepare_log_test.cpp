@@ -9,8 +9,6 @@
 #include <thread>
 #include <vector>
 
-#include <gtest/gtest.h>
-
 #include <relidar/base/process_group.hpp>
 #include <relidar/log/dataset.hpp>
 #include <relidar/train/train.hpp>

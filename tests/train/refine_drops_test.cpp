@@ -2,15 +2,12 @@
 // Tests the ray-drop network, the last stage of training. The street is recorded by a
 // sensor that is weak downwards. Surfels cannot represent this effect while the vehicle
 // drives past. The network must predict the effect on held-out frames.
-#include <cmath>
 #include <filesystem>
 #include <string>
 
 #include <fmt/format.h>
-#include <gmock/gmock.h>
 
 #include <relidar/base/arrays.hpp>
-#include <relidar/base/error.hpp>
 #include <relidar/base/files.hpp>
 #include <relidar/log/dataset.hpp>
 #include <relidar/run/checkpoint.hpp>

@@ -5,10 +5,8 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
-#include <numeric>
 #include <optional>
 
-#include <relidar/base/error.hpp>
 #include <relidar/log/dataset.hpp>
 #include <relidar/run/checkpoint.hpp>
 #include <relidar/simulate/render.hpp>

@@ -9,7 +9,6 @@
 #include <map>
 #include <numeric>
 
-#include <relidar/base/error.hpp>
 #include <relidar/log/dataset.hpp>
 #include <relidar/train/train.hpp>
 

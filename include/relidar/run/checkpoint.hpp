@@ -10,7 +10,6 @@
 // "name\0type\0n,m,...\0" followed by its bytes. The type is written as in numpy ("f4").
 #pragma once
 
-#include <cstdint>
 #include <filesystem>
 #include <functional>
 #include <map>

@@ -5,10 +5,6 @@
 #include <algorithm>
 #include <map>
 
-#include <fmt/format.h>
-
-#include <relidar/base/error.hpp>
-
 #include "base/fail.hpp"
 #include "run/blocks/frame_places.hpp"
 

@@ -6,10 +6,6 @@
 #include <algorithm>
 #include <cmath>
 
-#include <fmt/format.h>
-
-#include <relidar/base/error.hpp>
-
 #include "base/fail.hpp"
 #include "base/nearest_place.hpp"
 #include "run/blocks/frame_places.hpp"

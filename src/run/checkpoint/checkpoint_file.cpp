@@ -5,13 +5,10 @@
 
 #include <algorithm>
 #include <charconv>
-#include <limits>
 
-#include <fmt/format.h>
 #include <fmt/ranges.h>
 #include <zlib.h>
 
-#include <relidar/base/error.hpp>
 #include "base/fail.hpp"
 #include "base/files.hpp"
 

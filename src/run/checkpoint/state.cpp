@@ -3,14 +3,10 @@
 // state. Checks the type and the shape of every array that is read.
 #include <relidar/run/checkpoint.hpp>
 
-#include <algorithm>
 #include <cmath>
 #include <cstring>
 
-#include <fmt/format.h>
 #include <fmt/ranges.h>
-
-#include <relidar/base/error.hpp>
 
 #include "base/fail.hpp"
 

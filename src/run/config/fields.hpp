@@ -7,7 +7,6 @@
 
 #include <limits>
 #include <string>
-#include <type_traits>
 #include <vector>
 
 #include <relidar/log/channels.hpp>

@@ -4,10 +4,6 @@
 // differ from this preset, and why.
 #include <relidar/run/config.hpp>
 
-#include <fmt/format.h>
-
-#include <relidar/base/error.hpp>
-
 #include "base/fail.hpp"
 
 namespace relidar {

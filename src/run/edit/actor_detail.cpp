@@ -8,10 +8,7 @@
 #include <cmath>
 #include <limits>
 
-#include <fmt/format.h>
 #include <fmt/ranges.h>
-
-#include <relidar/base/error.hpp>
 
 #include "base/fail.hpp"
 

@@ -6,9 +6,6 @@
 #include <array>
 #include <cmath>
 
-#include <fmt/format.h>
-
-#include <relidar/base/error.hpp>
 #include "base/csv.hpp"
 #include "base/fail.hpp"
 #include "base/files.hpp"

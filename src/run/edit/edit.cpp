@@ -8,10 +8,8 @@
 #include <cmath>
 #include <set>
 
-#include <fmt/format.h>
 #include <fmt/ranges.h>
 
-#include <relidar/base/error.hpp>
 #include <relidar/scene/symmetry.hpp>
 
 #include "base/fail.hpp"

@@ -13,9 +13,6 @@
 #include <limits>
 #include <vector>
 
-#include <fmt/format.h>
-
-#include <relidar/base/error.hpp>
 #include <relidar/run/run.hpp>
 #include "base/fail.hpp"
 #include "base/median.hpp"

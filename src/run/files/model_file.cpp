@@ -10,13 +10,10 @@
 #include <cmath>
 #include <map>
 #include <span>
-#include <string_view>
 
-#include <fmt/format.h>
 #include <nlohmann/json.hpp>
 
 #include <relidar/base/arrays.hpp>
-#include <relidar/base/error.hpp>
 #include <relidar/scene/device_scene.hpp>
 #include "base/fail.hpp"
 #include "base/files.hpp"

@@ -6,16 +6,12 @@
 #include <relidar/run/run.hpp>
 
 #include <cerrno>
-#include <cstdlib>
 #include <system_error>
 #include <vector>
 
 #include <fcntl.h>
 #include <unistd.h>
 
-#include <fmt/format.h>
-
-#include <relidar/base/error.hpp>
 #include <relidar/base/files.hpp>
 #include <relidar/run/edit.hpp>
 #include <relidar/run/stage_options.hpp>

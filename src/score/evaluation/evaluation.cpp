@@ -9,9 +9,6 @@
 #include <functional>
 #include <memory>
 
-#include <fmt/format.h>
-
-#include <relidar/base/error.hpp>
 #include <relidar/log/range_image.hpp>
 #include <relidar/run/stage_options.hpp>
 #include <relidar/score/metrics.hpp>

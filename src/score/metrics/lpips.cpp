@@ -10,10 +10,7 @@
 #include <cmath>
 #include <utility>
 
-#include <fmt/format.h>
 #include <Eigen/Core>
-
-#include <relidar/base/error.hpp>
 
 #include "base/fail.hpp"
 

@@ -2,12 +2,6 @@
 #include <relidar/base/arrays.hpp>
 #include <relidar/score/metrics.hpp>
 
-#include <algorithm>
-
-#include <fmt/format.h>
-
-#include <relidar/base/error.hpp>
-
 #include "base/fail.hpp"
 
 namespace relidar {

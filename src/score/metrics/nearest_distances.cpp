@@ -7,10 +7,6 @@
 
 #include <cmath>
 
-#include <fmt/format.h>
-
-#include <relidar/base/error.hpp>
-
 #include "base/fail.hpp"
 #include "base/nearest_place.hpp"
 #include "base/parallel.hpp"

@@ -5,10 +5,6 @@
 #include <algorithm>
 #include <cmath>
 
-#include <fmt/format.h>
-
-#include <relidar/base/error.hpp>
-
 namespace relidar::metrics_detail {
 namespace {
 

@@ -8,9 +8,6 @@
 
 #include <algorithm>
 
-#include <fmt/format.h>
-
-#include <relidar/base/error.hpp>
 #include <relidar/log/sequence.hpp>
 #include "base/fail.hpp"
 #include "pixel_errors.hpp"

@@ -9,10 +9,6 @@
 #include <cmath>
 #include <limits>
 
-#include <fmt/format.h>
-
-#include <relidar/base/error.hpp>
-
 #include "html.hpp"
 
 namespace relidar::report_detail {

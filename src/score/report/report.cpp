@@ -8,7 +8,6 @@
 #include <relidar/score/report.hpp>
 
 #include <algorithm>
-#include <array>
 #include <cmath>
 #include <optional>
 #include <set>

@@ -4,9 +4,6 @@
 #include <new>
 #include <utility>
 
-#include <fmt/format.h>
-
-#include <relidar/base/error.hpp>
 #include <relidar/run/run.hpp>
 
 #include "base/fail.hpp"

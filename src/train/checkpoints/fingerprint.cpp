@@ -5,9 +5,6 @@
 #include <set>
 #include <span>
 
-#include <fmt/format.h>
-
-#include <relidar/base/error.hpp>
 #include <relidar/run/run.hpp>
 
 #include "base/fail.hpp"

@@ -5,9 +5,6 @@
 #include <limits>
 #include <numeric>
 
-#include <fmt/format.h>
-
-#include <relidar/base/error.hpp>
 #include <relidar/run/run.hpp>
 
 #include "base/fail.hpp"

@@ -3,8 +3,6 @@
 // settings, log lines, times. Private to train.
 #pragma once
 
-#include <map>
-#include <string>
 #include <vector>
 
 #include <relidar/run/checkpoint.hpp>

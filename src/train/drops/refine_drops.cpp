@@ -7,9 +7,6 @@
 #include <map>
 #include <optional>
 
-#include <fmt/format.h>
-
-#include <relidar/base/error.hpp>
 #include <relidar/run/run.hpp>
 #include <relidar/simulate/render.hpp>
 #include <relidar/train/train.hpp>

@@ -8,10 +8,6 @@
 #include <algorithm>
 #include <utility>
 
-#include <fmt/format.h>
-
-#include <relidar/base/error.hpp>
-
 #include "base/fail.hpp"
 #include "base/parallel.hpp"
 #include "gpu/stream.hpp"

@@ -5,9 +5,6 @@
 #include <algorithm>
 #include <set>
 
-#include <gmock/gmock.h>
-
-#include <relidar/base/error.hpp>
 #include <relidar/simulate/render.hpp>
 
 #include "../../base/codecs/temporary_folder.hpp"

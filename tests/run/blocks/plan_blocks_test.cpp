@@ -5,8 +5,6 @@
 #include <algorithm>
 #include <numeric>
 
-#include <gmock/gmock.h>
-
 #include <relidar/base/error.hpp>
 
 #include "support/names.hpp"

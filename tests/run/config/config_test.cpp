@@ -4,7 +4,6 @@
 #include <relidar/run/stage_options.hpp>
 
 #include <array>
-#include <map>
 #include <set>
 
 #include <fmt/format.h>

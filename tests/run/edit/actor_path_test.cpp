@@ -7,7 +7,6 @@
 
 #include <fmt/format.h>
 
-#include <relidar/base/error.hpp>
 #include <relidar/log/trajectory_csv.hpp>
 
 #include "../../base/codecs/temporary_folder.hpp"

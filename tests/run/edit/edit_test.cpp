@@ -8,7 +8,6 @@
 #include <cmath>
 #include <limits>
 
-#include <relidar/base/error.hpp>
 #include <relidar/run/run.hpp>
 
 #include "../../base/codecs/temporary_folder.hpp"

@@ -3,10 +3,6 @@
 // and on the synthetic street, whose ground height has a closed form.
 #include <cmath>
 
-#include <gmock/gmock.h>
-#include <gtest/gtest.h>
-
-#include <relidar/base/error.hpp>
 #include <relidar/log/dataset.hpp>
 #include <relidar/run/edit.hpp>
 #include <relidar/run/run.hpp>

@@ -8,7 +8,6 @@
 #include <algorithm>
 #include <limits>
 
-#include <gmock/gmock.h>
 #include <nlohmann/json.hpp>
 
 #include "../../support/comma_locale.hpp"

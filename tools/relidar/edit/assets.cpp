@@ -7,7 +7,6 @@
 #include <set>
 #include <system_error>
 
-#include <fmt/format.h>
 #include <CLI/CLI.hpp>
 
 #include <relidar/base/files.hpp>

@@ -4,7 +4,6 @@
 #include <filesystem>
 #include <memory>
 
-#include <fmt/format.h>
 #include <CLI/CLI.hpp>
 
 #include <relidar/run/run.hpp>

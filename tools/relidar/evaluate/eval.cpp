@@ -2,13 +2,10 @@
 // The command `relidar eval` compares the held-out frames of a run with the log. It also
 // scores a baseline, which needs no run, and writes a table of the scores of several
 // runs.
-#include <algorithm>
 #include <chrono>
-#include <cmath>
 #include <memory>
 #include <optional>
 
-#include <fmt/format.h>
 #include <CLI/CLI.hpp>
 
 #include <relidar/base/files.hpp>

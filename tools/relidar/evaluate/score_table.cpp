@@ -6,10 +6,8 @@
 #include <fstream>
 #include <set>
 
-#include <fmt/format.h>
 #include <nlohmann/json.hpp>
 
-#include <relidar/base/error.hpp>
 #include <relidar/base/files.hpp>
 #include <relidar/score/metrics.hpp>
 #include <relidar/score/report.hpp>

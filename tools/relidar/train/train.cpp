@@ -6,7 +6,6 @@
 #include <string_view>
 #include <tuple>
 
-#include <fmt/format.h>
 #include <CLI/CLI.hpp>
 
 #include <relidar/run/checkpoint.hpp>

@@ -8,9 +8,6 @@
 #include <chrono>
 #include <utility>
 
-#include <fmt/format.h>
-
-#include <relidar/base/error.hpp>
 #include <relidar/run/blocks.hpp>
 #include <relidar/run/checkpoint.hpp>
 #include "base/fail.hpp"

@@ -4,7 +4,6 @@
 #include <algorithm>
 #include <fstream>
 
-#include <fmt/format.h>
 #include <fmt/ranges.h>
 #include <nlohmann/json.hpp>
 
