@@ -278,12 +278,7 @@ TEST_F(RefineDrops, StopGivesNothingAndBadLogsAreRefused) {
     EXPECT_TRUE(train_ray_drop_network_of_run(device(), run, {.stop = [] { return true; }}).empty())
         << "while frames are rendered";
     const auto message = [&] {
-        try {
-            train_ray_drop_network_of_run(device(), run);
-        } catch (const DataError& error) {
-            return std::string(error.what());
-        }
-        return std::string("nothing thrown");
+        return get_data_error_message([&] { train_ray_drop_network_of_run(device(), run); });
     };
     for (LidarFrame& frame : run.sequence.frames) {
         frame.scan.rays.rows = 1;

@@ -15,6 +15,16 @@ namespace {
 
 constexpr int kColumns = 360, kBlindFrom = 99, kBlindTo = 189;  // columns of beam 1
 
+void add_ray(LidarFrame& frame, int beam, int column, bool returns) {
+    const double azimuth = kPi - (column + 0.5) * 2.0 * kPi / kColumns;
+    frame.scan.rays.origin.emplace_back(0.0f);
+    frame.scan.rays.direction.emplace_back(std::cos(azimuth), std::sin(azimuth), 0.0);
+    frame.scan.rays.time_offset_s.push_back(0.0f);
+    frame.scan.rays.channel.push_back(static_cast<std::uint16_t>(beam));
+    frame.scan.range_m.push_back(returns ? 10.0f : 0.0f);
+    frame.scan.intensity.push_back(0.0f);
+}
+
 /// Returns sweeps of four beams with every `step`-th column. The second beam has no
 /// returns in a sector. The third beam drops every seventh ray. The fourth beam drops six
 /// of 24 rays, like rays that hit windows.
@@ -26,16 +36,10 @@ LidarSequence log_of(int n_frames, int step = 1) {
         LidarFrame frame{f, 0.1 * f, {}};
         for (int beam = 0; beam < 4; ++beam)
             for (int column = 0; column < kColumns; column += step) {
-                const double azimuth = kPi - (column + 0.5) * 2.0 * kPi / kColumns;
-                frame.scan.rays.origin.emplace_back(0.0f);
-                frame.scan.rays.direction.emplace_back(std::cos(azimuth), std::sin(azimuth), 0.0);
-                frame.scan.rays.time_offset_s.push_back(0.0f);
-                frame.scan.rays.channel.push_back(static_cast<std::uint16_t>(beam));
                 const bool is_blind = beam == 1 && column >= kBlindFrom && column < kBlindTo;
                 const bool is_dropped =
                     (beam == 2 && (column * 3 + f * 5) % 7 == 0) || (beam == 3 && column % 24 < 6);
-                frame.scan.range_m.push_back(is_blind || is_dropped ? 0.0f : 10.0f);
-                frame.scan.intensity.push_back(0.0f);
+                add_ray(frame, beam, column, !is_blind && !is_dropped);
             }
         log.frames.push_back(std::move(frame));
     }
@@ -118,14 +122,8 @@ LidarSequence log_with_sectors() {
         for (int beam = 0; beam < 4; ++beam)
             for (int column = 0; column < kColumns; ++column) {
                 if (frame.lidar == 0 && column >= 60 && column < 120) continue;
-                const double azimuth = kPi - (column + 0.5) * 2.0 * kPi / kColumns;
-                const bool returns = frame.lidar == 1 || (beam > 0 && !(column >= 200 && column < 240));
-                frame.scan.rays.origin.emplace_back(0.0f);
-                frame.scan.rays.direction.emplace_back(std::cos(azimuth), std::sin(azimuth), 0.0);
-                frame.scan.rays.time_offset_s.push_back(0.0f);
-                frame.scan.rays.channel.push_back(static_cast<std::uint16_t>(beam));
-                frame.scan.range_m.push_back(returns ? 10.0f : 0.0f);
-                frame.scan.intensity.push_back(0.0f);
+                add_ray(frame, beam, column,
+                        frame.lidar == 1 || (beam > 0 && !(column >= 200 && column < 240)));
             }
         log.frames.push_back(std::move(frame));
     }
