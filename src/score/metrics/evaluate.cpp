@@ -47,23 +47,15 @@ struct ImagePair {
     double peak;
 };
 
-/// Dropped pixels have the range 0.
+/// Dropped pixels have the value 0.
 /// @param drop_threshold  rendered pixels with at least this drop probability are dropped
-ImagePair make_depth_image_pair(const RangeImage& rendered, const RangeImage& real, double drop_threshold,
-                                double max_range_m) {
+ImagePair make_image_pair(const RangeImage& rendered, const RangeImage& real, double drop_threshold,
+                          std::vector<float> RangeImage::*values, double maximum) {
     return {clamp_values_and_set_unmasked_to_minimum(
-                rendered.range_m, make_undropped_pixel_mask(rendered, drop_threshold), max_range_m),
+                rendered.*values, make_undropped_pixel_mask(rendered, drop_threshold), maximum),
             clamp_values_and_set_unmasked_to_minimum(
-                real.range_m, make_undropped_pixel_mask(real, kRealDropThreshold), max_range_m),
-            real.rows, real.columns, max_range_m};
-}
-ImagePair make_intensity_image_pair(const RangeImage& rendered, const RangeImage& real,
-                                    double drop_threshold) {
-    return {clamp_values_and_set_unmasked_to_minimum(
-                rendered.intensity, make_undropped_pixel_mask(rendered, drop_threshold), kMaxIntensity),
-            clamp_values_and_set_unmasked_to_minimum(
-                real.intensity, make_undropped_pixel_mask(real, kRealDropThreshold), kMaxIntensity),
-            real.rows, real.columns, kMaxIntensity};
+                real.*values, make_undropped_pixel_mask(real, kRealDropThreshold), maximum),
+            real.rows, real.columns, maximum};
 }
 
 /// Leaves SSIM out if the real image is constant or smaller than the SSIM window.
@@ -116,8 +108,10 @@ void add_published_protocol_metrics(MetricValues& row, const RangeImage& rendere
                                     const MetricOptions& options) {
     const double threshold = options.peer_drop_threshold;
     add_image_metrics(row, "peer/depth_", "_m",
-                      make_depth_image_pair(rendered, real, threshold, options.max_range_m), options.lpips);
-    add_image_metrics(row, "peer/intensity_", "", make_intensity_image_pair(rendered, real, threshold),
+                      make_image_pair(rendered, real, threshold, &RangeImage::range_m, options.max_range_m),
+                      options.lpips);
+    add_image_metrics(row, "peer/intensity_", "",
+                      make_image_pair(rendered, real, threshold, &RangeImage::intensity, kMaxIntensity),
                       options.lpips);
 
     const PointPositions a =
@@ -154,11 +148,8 @@ void add_point_metrics(MetricValues& row, const std::string& name_prefix, const 
                        const RangeImage& real, const MetricOptions& options) {
     const PixelMask rendered_returns = make_positive_range_mask(rendered, options.strict_drop_threshold),
                     real_returns = make_positive_range_mask(real, kRealDropThreshold);
-    PixelMask both(real_returns.size());
-    for (std::size_t i = 0; i < both.size(); ++i) both[i] = rendered_returns[i] && real_returns[i];
-    add_error_metrics_and_get_mse(row, name_prefix + "depth_", "_m",
-                                  select_and_clamp_masked_values(rendered.range_m, both, options.max_range_m),
-                                  select_and_clamp_masked_values(real.range_m, both, options.max_range_m));
+    add_masked_error_metrics(row, name_prefix + "depth_", "_m", rendered.range_m, real.range_m,
+                             intersect_masks(rendered_returns, real_returns), options.max_range_m);
     const PointPositions a = compute_points_of_masked_pixels(rendered, rendered_returns),
                          b = compute_points_of_masked_pixels(real, real_returns);
     if (a.empty() && b.empty()) return;
@@ -175,11 +166,8 @@ void add_strict_protocol_metrics(MetricValues& row, const RangeImage& rendered, 
                                  const MetricOptions& options) {
     const PixelMask rendered_returns = make_positive_range_mask(rendered, options.strict_drop_threshold);
     const PixelMask real_returns = make_positive_range_mask(real, kRealDropThreshold);
-    PixelMask both(real_returns.size());
-    for (std::size_t i = 0; i < both.size(); ++i) both[i] = rendered_returns[i] && real_returns[i];
-    add_error_metrics_and_get_mse(row, "strict/intensity_", "",
-                                  select_and_clamp_masked_values(rendered.intensity, both, kMaxIntensity),
-                                  select_and_clamp_masked_values(real.intensity, both, kMaxIntensity));
+    add_masked_error_metrics(row, "strict/intensity_", "", rendered.intensity, real.intensity,
+                             intersect_masks(rendered_returns, real_returns), kMaxIntensity);
     add_ray_drop_metrics(row, rendered_returns, real_returns);
     // without a threshold
     PixelValues drop_error(real.drop_prob.size());
@@ -188,9 +176,11 @@ void add_strict_protocol_metrics(MetricValues& row, const RangeImage& rendered, 
     row["strict/drop_rmse"] = std::sqrt(compute_mean_square(drop_error));
     const double threshold = options.strict_drop_threshold;
     add_image_metrics(row, "strict/image_depth_", "_m",
-                      make_depth_image_pair(rendered, real, threshold, options.max_range_m), nullptr);
+                      make_image_pair(rendered, real, threshold, &RangeImage::range_m, options.max_range_m),
+                      nullptr);
     add_image_metrics(row, "strict/image_intensity_", "",
-                      make_intensity_image_pair(rendered, real, threshold), nullptr);
+                      make_image_pair(rendered, real, threshold, &RangeImage::intensity, kMaxIntensity),
+                      nullptr);
     add_point_metrics(row, "strict/", rendered, real, options);
 }
 

@@ -13,24 +13,23 @@ constexpr double kClampLow = 1e-6;
 
 double clamp_value(float value, double maximum) { return std::clamp(double(value), kClampLow, maximum); }
 
-void require_valid_pixel_values(const std::vector<float>& values, std::size_t expected_count,
-                                const char* image_name, const char* array_name) {
+template <typename T>
+void require_count(const std::vector<T>& values, std::size_t expected_count, const char* image_name,
+                   const char* array_name) {
     if (values.size() != expected_count)
         fail("cannot compare range images: array {1} of the {0} image has {2} values, expected {3}",
              image_name, array_name, values.size(), expected_count);
+}
+
+void require_valid_pixel_values(const std::vector<float>& values, std::size_t expected_count,
+                                const char* image_name, const char* array_name) {
+    require_count(values, expected_count, image_name, array_name);
     const auto bad = std::find_if(values.begin(), values.end(), [](float v) { return !std::isfinite(v); });
     if (bad != values.end())
         fail(
             "cannot compare range images: array {1} of the {0} image is {2} at pixel {3}, expected a finite "
             "value",
             image_name, array_name, *bad, bad - values.begin());
-}
-
-void require_vector_count(const std::vector<glm::vec3>& values, std::size_t expected_count,
-                          const char* image_name, const char* array_name) {
-    if (values.size() != expected_count)
-        fail("cannot compare range images: array {1} of the {0} image has {2} values, expected {3}",
-             image_name, array_name, values.size(), expected_count);
 }
 
 void require_valid_range_image(const RangeImage& image, const char* image_name) {
@@ -41,8 +40,8 @@ void require_valid_range_image(const RangeImage& image, const char* image_name) 
     require_valid_pixel_values(image.range_m, n, image_name, "range_m");
     require_valid_pixel_values(image.intensity, n, image_name, "intensity");
     require_valid_pixel_values(image.drop_prob, n, image_name, "drop_prob");
-    require_vector_count(image.origin, n, image_name, "origin");
-    require_vector_count(image.direction, n, image_name, "direction");
+    require_count(image.origin, n, image_name, "origin");
+    require_count(image.direction, n, image_name, "direction");
 }
 
 }  // namespace
@@ -67,19 +66,17 @@ PixelMask make_positive_range_mask(const RangeImage& image, double drop_threshol
     return mask;
 }
 
+PixelMask intersect_masks(const PixelMask& first, const PixelMask& second) {
+    PixelMask mask(first.size());
+    for (std::size_t i = 0; i < mask.size(); ++i) mask[i] = first[i] && second[i];
+    return mask;
+}
+
 PixelValues clamp_values_and_set_unmasked_to_minimum(const std::vector<float>& values, const PixelMask& mask,
                                                      double maximum) {
     PixelValues result(values.size());
     for (std::size_t i = 0; i < values.size(); ++i)
         result[i] = clamp_value(mask[i] ? values[i] : 0.0f, maximum);
-    return result;
-}
-
-PixelValues select_and_clamp_masked_values(const std::vector<float>& values, const PixelMask& mask,
-                                           double maximum) {
-    PixelValues result;
-    for (std::size_t i = 0; i < values.size(); ++i)
-        if (mask[i]) result.push_back(clamp_value(values[i], maximum));
     return result;
 }
 
@@ -110,6 +107,18 @@ double add_error_metrics_and_get_mse(MetricValues& row, const std::string& name_
     if (error.size() % 2 == 0) median = 0.5 * (*middle + *std::max_element(error.begin(), middle));
     row[name_prefix + "medae" + unit_suffix] = median;
     return squared;
+}
+
+void add_masked_error_metrics(MetricValues& row, const std::string& name_prefix,
+                              const std::string& unit_suffix, const std::vector<float>& first,
+                              const std::vector<float>& second, const PixelMask& mask, double maximum) {
+    PixelValues a, b;
+    for (std::size_t i = 0; i < mask.size(); ++i)
+        if (mask[i]) {
+            a.push_back(clamp_value(first[i], maximum));
+            b.push_back(clamp_value(second[i], maximum));
+        }
+    add_error_metrics_and_get_mse(row, name_prefix, unit_suffix, a, b);
 }
 
 }  // namespace relidar::metrics_detail

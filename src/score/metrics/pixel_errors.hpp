@@ -26,13 +26,11 @@ PixelMask make_undropped_pixel_mask(const RangeImage& image, double drop_thresho
 /// Drop probability below the threshold, and range above 0 (0: the ray hit no surface).
 PixelMask make_positive_range_mask(const RangeImage& image, double drop_threshold);
 
+PixelMask intersect_masks(const PixelMask& first, const PixelMask& second);
+
 /// All pixels, clamped to [1e-6, maximum]. Pixels outside the mask get 1e-6.
 PixelValues clamp_values_and_set_unmasked_to_minimum(const std::vector<float>& values, const PixelMask& mask,
                                                      double maximum);
-/// Only pixels in the mask, clamped to [1e-6, maximum].
-PixelValues select_and_clamp_masked_values(const std::vector<float>& values, const PixelMask& mask,
-                                           double maximum);
-
 double compute_values_mean(const PixelValues& values);
 double compute_mean_square(const PixelValues& values);
 
@@ -42,5 +40,9 @@ double compute_mean_square(const PixelValues& values);
 double add_error_metrics_and_get_mse(MetricValues& row, const std::string& name_prefix,
                                      const std::string& unit_suffix, const PixelValues& first,
                                      const PixelValues& second);
+/// The same of the pixels in the mask. Clamps the values to [1e-6, maximum].
+void add_masked_error_metrics(MetricValues& row, const std::string& name_prefix,
+                              const std::string& unit_suffix, const std::vector<float>& first,
+                              const std::vector<float>& second, const PixelMask& mask, double maximum);
 
 }  // namespace relidar::metrics_detail

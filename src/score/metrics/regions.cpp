@@ -17,14 +17,6 @@ namespace {
 
 using namespace metrics_detail;
 
-constexpr double kBoxMargin_m = 0.0;
-
-PixelMask intersect_masks(const PixelMask& first, const PixelMask& second) {
-    PixelMask mask(first.size());
-    for (std::size_t i = 0; i < mask.size(); ++i) mask[i] = first[i] && second[i];
-    return mask;
-}
-
 PixelRegion make_range_band_region(const RangeImage& real_image, double min_range_m, double max_range_m) {
     PixelRegion region{fmt::format("range_{:.0f}_{:.0f}_m", min_range_m, max_range_m),
                        PixelMask(real_image.range_m.size())};
@@ -46,8 +38,8 @@ PixelMask mask_returns_in_moving_boxes(std::vector<BoxTrack> boxes, const LidarS
             make_world_ray(track, frame.time_s, frame.scan.rays, ray, sequence.rolling_shutter);
         const double t_s =
             frame.time_s + (sequence.rolling_shutter ? double(frame.scan.rays.time_offset_s[ray]) : 0.0);
-        moving[ray] = is_in_moving_box(boxes, w.origin_m + double(frame.scan.range_m[ray]) * w.direction, t_s,
-                                       kBoxMargin_m);
+        moving[ray] =
+            is_in_moving_box(boxes, w.origin_m + double(frame.scan.range_m[ray]) * w.direction, t_s, 0.0);
     }
     return moving;
 }
@@ -72,13 +64,10 @@ MetricValues evaluate_regions(const RangeImage& rendered, const RangeImage& real
         const PixelMask returned_both = intersect_masks(mask, rendered_returns);
         row[name + "returned"] =
             double(std::count(returned_both.begin(), returned_both.end(), true)) / double(n);
-        add_error_metrics_and_get_mse(
-            row, name + "depth_", "_m",
-            select_and_clamp_masked_values(rendered.range_m, mask, options.max_range_m),
-            select_and_clamp_masked_values(real.range_m, mask, options.max_range_m));
-        add_error_metrics_and_get_mse(row, name + "intensity_", "",
-                                      select_and_clamp_masked_values(rendered.intensity, mask, kMaxIntensity),
-                                      select_and_clamp_masked_values(real.intensity, mask, kMaxIntensity));
+        add_masked_error_metrics(row, name + "depth_", "_m", rendered.range_m, real.range_m, mask,
+                                 options.max_range_m);
+        add_masked_error_metrics(row, name + "intensity_", "", rendered.intensity, real.intensity, mask,
+                                 kMaxIntensity);
     }
     return row;
 }
@@ -97,10 +86,10 @@ std::vector<PixelRegion> make_evaluation_regions(const RangeImage& real,
 
 std::vector<bool> mask_returns_in_labelled_movers(const LidarSequence& sequence, const LidarFrame& frame,
                                                   const Pose& sensor_offset) {
-    std::vector<BoxTrack> labelled = sequence.boxes;
-    std::erase_if(labelled, [](const BoxTrack& box) { return box.category == kDiscoveredCategory; });
+    std::vector<BoxTrack> labelled;
     // Without the poses that discover_tracks() may have added.
-    for (BoxTrack& box : labelled) box = box.copy_track_of_labelled_poses();
+    for (const BoxTrack& box : sequence.boxes)
+        if (box.category != kDiscoveredCategory) labelled.push_back(box.copy_track_of_labelled_poses());
     return mask_returns_in_moving_boxes(std::move(labelled), sequence, frame, sensor_offset);
 }
 

@@ -88,12 +88,13 @@ std::string format_tick_label(double value) {
     return fmt::format("{:.6g}", value);
 }
 
+ChartAxis make_axis(const ValueInterval& value_extent, double page_low, double page_high) {
+    if (value_extent.empty()) return {0.0, 1.0, page_low, page_high, false};
+    return {value_extent.low, value_extent.high, page_low, page_high, false};
+}
+
 ChartAxis make_y_axis(const ValueInterval& value_extent, double page_low, double page_high) {
-    ChartAxis axis{value_extent.low, value_extent.high, page_low, page_high, false};
-    if (value_extent.empty()) {
-        axis.low = 0.0;
-        axis.high = 1.0;
-    }
+    ChartAxis axis = make_axis(value_extent, page_low, page_high);
     axis.logarithmic = axis.low > 0.0 && axis.high > 4.0 * axis.low;
     if (axis.logarithmic) {
         const double margin = std::pow(axis.high / axis.low, 0.05);
@@ -109,11 +110,7 @@ ChartAxis make_y_axis(const ValueInterval& value_extent, double page_low, double
 }
 
 ChartAxis make_x_axis(const ValueInterval& value_extent, double page_low, double page_high) {
-    ChartAxis axis{value_extent.low, value_extent.high, page_low, page_high, false};
-    if (value_extent.empty()) {
-        axis.low = 0.0;
-        axis.high = 1.0;
-    }
+    ChartAxis axis = make_axis(value_extent, page_low, page_high);
     if (!(axis.high > axis.low)) {
         axis.low -= 0.5;
         axis.high += 0.5;

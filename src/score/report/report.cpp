@@ -31,14 +31,13 @@ using report_detail::format_number;
 constexpr double kMaxAspect = 10.0;
 
 std::string make_html_section(const std::string& title, const std::string& body) {
-    return body.empty() ? ""
-                        : fmt::format("<section>\n<h2>{}</h2>\n{}</section>\n", escape_html(title), body);
+    if (body.empty()) return "";
+    return fmt::format("<section>\n<h2>{}</h2>\n{}</section>\n", escape_html(title), body);
 }
 
 std::string make_collapsed_html_section(const std::string& title, const std::string& body) {
-    return body.empty()
-               ? ""
-               : fmt::format("<details>\n<summary>{}</summary>\n{}</details>\n", escape_html(title), body);
+    if (body.empty()) return "";
+    return fmt::format("<details>\n<summary>{}</summary>\n{}</details>\n", escape_html(title), body);
 }
 
 /// scrolls horizontally on a narrow screen
@@ -59,6 +58,27 @@ std::string make_report_table_html(const ReportTable& table) {
         rows += "<tr>" + cells + "</tr>\n";
     }
     return make_table_html(head, rows) + "<p class=\"note\">" + escape_html(table.note) + "</p>\n";
+}
+
+std::string make_stacked_bars_html(const ReportBars& bars) {
+    std::string head = "<th>Where</th><th class=\"stack\">Shares</th>", rows;
+    for (std::size_t b = 0; b < bars.bands.size(); ++b)
+        head += fmt::format("<th><i class=\"b{}\"></i>{}</th>", b, escape_html(bars.bands[b]));
+    for (const ReportBars::Row& row : bars.rows) {
+        if (!(row.count > 0.0)) continue;
+        std::string stack, cells;
+        for (std::size_t b = 0; b < row.share.size(); ++b) {
+            const double percent = 100.0 * std::clamp(row.share[b], 0.0, 1.0);
+            stack += fmt::format("<div class=\"b{}\" style=\"width:{:.2f}%\"></div>", b, percent);
+            cells += fmt::format("<td>{:.1f} %</td>", percent);
+        }
+        rows +=
+            fmt::format("<tr><td class=\"name\">{}</td><td class=\"stack\">{}</td>{}<td>{:.0f}</td></tr>\n",
+                        escape_html(row.name), stack, cells, row.count);
+    }
+    if (rows.empty()) return "";
+    return make_table_html(head + "<th>rays</th>", rows) + "<p class=\"note\">" + escape_html(bars.note) +
+           "</p>\n";
 }
 
 std::string make_facts_html(const Report& report) {
@@ -264,7 +284,7 @@ std::string make_report_page_html(const Report& report) {
         html += make_html_section(report.figures[i].title, figures[i]);
     html += make_html_section("Curves", make_curves_html(report));
     for (const ReportBars& bars : report.bars)
-        html += make_html_section(bars.title, report_detail::make_stacked_bars_html(bars));
+        html += make_html_section(bars.title, make_stacked_bars_html(bars));
     for (const ReportTable& texts : report.tables)
         html += make_html_section(texts.title, make_report_table_html(texts));
     html += make_html_section("Scores", make_key_metrics_table_html(report));

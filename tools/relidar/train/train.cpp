@@ -364,25 +364,6 @@ void remove_old_results_and_save_config(const fs::path& run_folder, const Config
     write_text_file(run_folder / kConfigFile, to_toml(config));
 }
 
-void require_block_training_if_several_ranks(const MpiProcessGroup& ranks, bool trains_in_blocks) {
-    if (ranks.size() > 1 && !trains_in_blocks)
-        fail<UsageError>(
-            "training with {} MPI processes needs --blocks, because the processes share the blocks of a log",
-            ranks.size());
-}
-
-std::string format_training_is_finished(const std::string& run_folder, int n_iterations) {
-    return fmt::format(
-        "{} has already finished all {} iterations, so nothing is trained; increase train.iterations to "
-        "continue\n",
-        run_folder, n_iterations);
-}
-
-ExistingRunPolicy choose_existing_run_policy(const TrainOptions& options) {
-    if (options.force) return ExistingRunPolicy::replace;
-    return options.resume ? ExistingRunPolicy::keep : ExistingRunPolicy::refuse;
-}
-
 void run_train_command(const TrainOptions& command_options, const std::string& command_line) {
     const MpiProcessGroup ranks;
     TrainOptions options = resolve_log_and_output_folder(command_options);
@@ -391,7 +372,11 @@ void run_train_command(const TrainOptions& command_options, const std::string& c
     Config config = make_training_config(options);
     if (options.resume && !options.force && is_training_finished(options.out, config)) {
         require_same_settings_as_finished_run(options.out, config);
-        if (!options.quiet) print(format_training_is_finished(options.out, config.train.iterations));
+        if (!options.quiet)
+            print(
+                fmt::format("{} has already finished all {} iterations, so nothing is trained; increase "
+                            "train.iterations to continue\n",
+                            options.out, config.train.iterations));
         return;
     }
     const bool resume = options.resume && !options.force;
@@ -402,9 +387,15 @@ void run_train_command(const TrainOptions& command_options, const std::string& c
         return;
     }
     const bool in_blocks = config.blocks.length_m > 0.0;
-    require_block_training_if_several_ranks(ranks, in_blocks);
+    if (ranks.size() > 1 && !in_blocks)
+        fail<UsageError>(
+            "training with {} MPI processes needs --blocks, because the processes share the blocks of a log",
+            ranks.size());
     std::optional<RunOutputFolder> folder;
-    if (ranks.is_first_mpi_process()) folder.emplace(options.out, choose_existing_run_policy(options));
+    if (ranks.is_first_mpi_process())
+        folder.emplace(options.out, options.force    ? ExistingRunPolicy::replace
+                                    : options.resume ? ExistingRunPolicy::keep
+                                                     : ExistingRunPolicy::refuse);
     if (resume && in_blocks) require_same_settings_as_all_trained_blocks(options.out, config);
     std::optional<Checkpoint> start =
         resume && !in_blocks ? load_newest_checkpoint_if_resuming(options) : std::nullopt;
