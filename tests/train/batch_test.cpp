@@ -1,8 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests batches of rays (train/gather_columns). A batch contains groups of columns or a
-// window of full columns, with their rays and targets, and wraps around. If the rays have
-// no image order, it contains every n-th ray. Structural similarity without an image must
-// be rejected.
+// Tests batches of rays (train/gather_columns).
 #include "train/frames/batch.hpp"
 
 #include <set>
@@ -17,7 +14,7 @@ namespace {
 
 class Batch : public test::DeviceTest {};
 
-/// Returns a frame whose rays and targets contain their indices.
+/// Rays and targets contain their indices.
 std::vector<TrainingFrameData> make_numbered_frame(Device& device, std::uint32_t rows, std::uint32_t columns,
                                                    bool image) {
     std::vector<DeviceRay> rays;
@@ -71,8 +68,6 @@ TEST_F(Batch, WindowsOfColumnsAreImages) {
     EXPECT_GT(*firsts.rbegin(), 39) << "some windows wrap around";
 }
 
-/// If the width has no divisors (53 columns), batches must still be images, and each
-/// column must be drawn equally often.
 TEST_F(Batch, GroupsOfColumnsAreAnImageAndNoColumnIsPreferred) {
     constexpr std::uint32_t kRows = 3, kColumns = 53, kStride = 5, kBatchColumns = kColumns / kStride;
     constexpr int kTrials = 2000;
@@ -154,8 +149,6 @@ TEST_F(Batch, EveryNthRayOfAListIsNoImageAndTheWholeFrameIs) {
     }
 }
 
-/// The measured ranges must be stored with the rays, because the forward pass reads them
-/// from the rays.
 TEST_F(Batch, RaysBringTheirTargets) {
     const std::vector<TrainingFrameData> image = make_numbered_frame(device(), 4, 50, true),
                                          cloud = make_numbered_frame(device(), 1, 50, false);

@@ -19,7 +19,6 @@ namespace {
 
 namespace fs = std::filesystem;
 
-/// Number of each class of the street in SemanticKITTI.
 std::uint32_t get_label(SurfaceClass surface) {
     switch (surface) {
         case SurfaceClass::vehicle:
@@ -39,8 +38,6 @@ std::uint32_t get_label(SurfaceClass surface) {
     }
 }
 
-/// Writes a scan ring by ring. In each ring, the azimuth increases from the forward
-/// direction.
 void write_scan(const fs::path& folder, int frame, const Scan& scan) {
     std::string points, labels;
     const int columns = scan.rays.columns;

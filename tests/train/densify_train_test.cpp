@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests densification in training. Training starts from an eighth of the points. The
-// final loss must be lower with densification than without, also with actors. If surfels
+// Tests densification in training, which starts from an eighth of the points. If surfels
 // that are visible in no frame are removed, the image must not change.
 #include <map>
 
@@ -18,8 +17,6 @@ LidarSequence make_growing_street() {
     return make_synthetic_street({.n_frames = 11, .rows = 16, .columns = 256});
 }
 
-/// Returns settings with about an eighth of the surfels that other tests use with their
-/// `small` settings. Uses every second ray.
 Config make_sparse_config() {
     Config config = make_preset_config("quick");
     config.init.voxel_m = 1.2;
@@ -45,8 +42,6 @@ Config make_sparse_config() {
     return config;
 }
 
-/// Returns the mean loss over the last thirty steps. Frames and rays are the same in
-/// every training.
 double get_final_loss(const TrainResult& result) {
     double sum = 0.0;
     for (std::size_t i = result.log.size() - 3; i < result.log.size(); ++i) sum += result.log[i].loss / 3.0;
@@ -71,11 +66,9 @@ TEST_F(DensifyTrain, GrowthLowersTheLoss) {
         EXPECT_GE(n, strategy == DensifyStrategy::none ? 1u : result.log.front().n_surfels * 11 / 10);
         std::printf("strategy %d: %u surfels, loss %.5f\n", int(strategy), n, loss[strategy]);
     }
-    // Requires only a lower loss, because the ratio depends on rates, length and seed.
     EXPECT_LT(loss[DensifyStrategy::adaptive], loss[DensifyStrategy::none]);
 }
 
-/// Actors must grow in their model.
 TEST_F(DensifyTrain, ActorsStayInTheirModels) {
     const LidarSequence sequence = make_growing_street();
     const TrainTestSplit split = split_frames_into_train_and_test(sequence, 10);
@@ -101,8 +94,6 @@ TEST_F(DensifyTrain, ActorsStayInTheirModels) {
                 << "in the frame of its car";
 }
 
-/// Uses a device with little more memory than training without growth needs. The growth
-/// must end early, but training must continue.
 TEST_F(DensifyTrain, OutOfMemoryEndsGrowthNotTraining) {
     const LidarSequence sequence = make_growing_street();
     const TrainTestSplit split = split_frames_into_train_and_test(sequence, 10);
@@ -114,7 +105,6 @@ TEST_F(DensifyTrain, OutOfMemoryEndsGrowthNotTraining) {
     std::uint64_t needed = 0;
     {
         Device unlimited;
-        // trains for a single step
         train(unlimited, sequence, split, config,
               [](const TrainProgress& progress) { return progress.iteration < 1; });
         needed = unlimited.peak_allocated_bytes();

@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests how many hits per ray training stores for the backward pass. The number must be
-// sufficient for almost all rays, and it must not change the result.
+// Tests how many hits per ray training stores for the backward pass.
 #include <algorithm>
 
 #include <relidar/log/dataset.hpp>
@@ -41,8 +40,7 @@ protected:
         return {loop.download_current_scene(), loop.get_max_stored_hits_per_ray()};
     }
 
-    /// Renders a scene separately. For each n in `counts`, returns the share of rays with
-    /// more than n hits.
+    /// For each n in `counts`, returns the share of rays with more than n hits.
     std::vector<double> share_beyond(const Scene& scene, const std::vector<std::uint32_t>& counts) {
         Renderer renderer(device(), scene, config.image,
                           {.accel = {}, .trace = make_common_trace_options(config)});
@@ -77,7 +75,6 @@ TEST_F(KeptHits, GrowUntilNoRayHasMore) {
     ASSERT_GT(trained.stored_hits_per_ray, 2u);
     const std::vector<double> shares =
         share_beyond(trained.scene, {trained.stored_hits_per_ray, trained.stored_hits_per_ray / 2});
-    // at the end of training, almost no ray exceeds the limit
     EXPECT_LE(shares[0], 0.002) << trained.stored_hits_per_ray << " are kept";
     EXPECT_GT(shares[1], 0.0) << "half of " << trained.stored_hits_per_ray << " would have done";
 }

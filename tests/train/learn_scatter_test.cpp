@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Tests the learned scatter of intensities on a street whose sensor measures noisy values
-// in steps of 1/64. Scatter that was learned from training frames must match the scatter
-// of these frames. Held-out frames differ more, because the untrained scene consists of
+// in steps of 1/64. Held-out frames differ more, because the untrained scene consists of
 // the noisy points of the training frames.
 #include <cmath>
 
@@ -20,8 +19,7 @@ class LearnScatter : public test::DeviceTest {};
 
 constexpr float kStep = 1.0f / 64.0f;
 
-/// Returns a run whose intensities have noise with a standard deviation of 0.05. Its
-/// untrained scene consists of the points of the log.
+/// The untrained scene consists of the points of the log.
 TrainedRun make_grainy_run() {
     TrainedRun run;
     run.sequence =

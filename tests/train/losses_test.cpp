@@ -1,6 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests that the training log contains each loss term under its name, both for batches
-// that are images and for batches of single rays.
 #include <cmath>
 
 #include <relidar/log/dataset.hpp>

@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests that an iteration of training only records and submits work. The host must not
-// wait until the device is idle, and must not allocate device memory. It must still
-// receive the results of an iteration after a bounded number of iterations.
+// Tests that the host neither waits until the device is idle nor allocates device memory
+// in an iteration, and that it receives the results after a bounded number of iterations.
 #include <algorithm>
 #include <limits>
 

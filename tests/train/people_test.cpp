@@ -1,7 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests people as actors. On frames that did not train the scene, a person must have
-// about as many returns as in the log. Objects that are left out of training must be
-// reported.
+// Tests people as actors, also on frames that did not train the scene.
 #include <cstdio>
 #include <map>
 #include <utility>
@@ -17,8 +15,6 @@ namespace {
 
 class People : public test::DeviceTest {};
 
-/// Counts the points in a box that is enlarged by the margin of labels and surfels.
-/// @param range_m, returned [rays] of the frame
 template <class Returned>
 int list_returns_in(const LidarSequence& street, const LidarFrame& frame, const BoxTrack& box,
                     const std::vector<float>& range_m, const Returned& returned) {
@@ -33,7 +29,6 @@ int list_returns_in(const LidarSequence& street, const LidarFrame& frame, const 
     return n;
 }
 
-/// Returns the box without its lowest part, which contains pavement.
 BoxTrack raise_above_ground(BoxTrack box) {
     for (Pose& pose : box.world_from_box.pose) pose.translation.z += 0.15;
     return box;

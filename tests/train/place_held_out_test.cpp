@@ -13,7 +13,6 @@ namespace {
 
 class PlaceHeldOut : public test::DeviceTest {};
 
-/// Returns a run trained with exact poses.
 TrainedRun train_small_run(Device& device) {
     TrainedRun run;
     run.sequence =
@@ -28,8 +27,7 @@ TrainedRun train_small_run(Device& device) {
     return run;
 }
 
-/// Returns a trained run whose held-out frames have wrong poses. All tests share the same
-/// training.
+/// All tests share the same training.
 TrainedRun move_run(Device& device, const Twist& off) {
     static const TrainedRun trained = train_small_run(device);
     TrainedRun run = trained;

@@ -1,8 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests pose refinement. Compares moved rays (train/move_rays) with make_world_ray of the
-// corrected track, and gradients of the poses (train/knot_gradients) with central
-// differences. Tests Adam on a track, and the synthetic street with pose errors of 5 cm
-// and 0.3 degrees.
+// Tests pose refinement: moved rays (train/move_rays), gradients of the poses
+// (train/knot_gradients) against central differences, Adam, and the synthetic street.
 #include <algorithm>
 #include <cmath>
 #include <random>
@@ -38,7 +36,6 @@ LidarSequence street_of(int n_frames, int rows, int columns, bool moving_cars = 
     return make_synthetic_street(options);
 }
 
-/// Returns a random twist with these standard deviations of translation and rotation.
 Twist draw_random_twist(std::mt19937_64& random, double sigma_m, double sigma_rad) {
     std::normal_distribution<double> normal(0.0, 1.0 / std::sqrt(3.0));
     Twist twist;
@@ -46,7 +43,6 @@ Twist draw_random_twist(std::mt19937_64& random, double sigma_m, double sigma_ra
     return twist;
 }
 
-/// Returns a correction of all poses that could result from some training steps.
 TrackCorrection draw_random_correction(const PoseTrack& track, std::mt19937_64& random) {
     TrackCorrection correction(track);
     for (int i = 0; i < 3; ++i) {
@@ -92,7 +88,6 @@ TEST_F(Poses, MovedRaysAreThoseOfTheCorrectedTrack) {
     }
 }
 
-/// Returns the index of each ray of a batch among all rays of its frame.
 std::vector<std::size_t> list_frame_ray_ids(const SampledBatch& batch,
                                             const std::vector<DeviceRay>& batch_rays,
                                             const std::vector<DeviceRay>& frame_rays) {
@@ -107,8 +102,7 @@ std::vector<std::size_t> list_frame_ray_ids(const SampledBatch& batch,
     return ids;
 }
 
-/// Uses the loss L = sum a . origin' + b . direction' over the batch. The expected
-/// gradient is differentiated through the corrected track in double.
+/// L = sum a . origin' + b . direction' over the batch, differentiated in double.
 TEST_F(Poses, GradientsAreThoseOfDifferences) {
     const LidarSequence street = street_of(5, 8, 64);
     TrainingFrames frames(device(), street, {1, 2, 4}, {.unknown = {}, .moves_rays = true});
@@ -166,8 +160,6 @@ TEST_F(Poses, GradientsAreThoseOfDifferences) {
     }
 }
 
-/// Adam must find given corrections as the minimum of a quadratic function. The
-/// correction of a held-out frame must be interpolated between its neighbours.
 TEST(TrackCorrectionOf, AQuadraticBowl) {
     PoseTrack track;
     std::mt19937_64 random(3);
@@ -213,7 +205,6 @@ Config make_refining_config(const std::string& description, int iterations) {
     return config;
 }
 
-/// Trains once and returns the pose errors before and after the training.
 std::pair<PoseError, PoseError> measure_errors_of_training(Device& device, const Config& config,
                                                            const char* description) {
     LidarSequence street = street_of(11, 32, 256);
@@ -239,7 +230,6 @@ TEST_F(Poses, OfTheSensorComeNearerByGradients) {
     EXPECT_LT(after.median_deg, 0.6 * before.median_deg);
 }
 
-/// Refinement must reduce pose noise of 5 cm and 0.3 degrees to 1 cm and 0.05 degrees.
 TEST_F(Poses, OfTheSensorComeBack) {
     const PoseError after =
         measure_errors_of_training(device(), make_refining_config("sensor", 40), "registration and gradients")
@@ -248,38 +238,26 @@ TEST_F(Poses, OfTheSensorComeBack) {
     EXPECT_LT(after.median_deg, 0.05);
 }
 
-/// Removes all rays except the rays that end near a box. The removed rays do not affect
-/// the box and would take most of the time.
+/// The other rays do not affect the box and would take most of the time.
 void keep_rays_near_boxes(LidarSequence& street, double margin_m) {
     for (LidarFrame& frame : street.frames) {
-        Scan& scan = frame.scan;
-        std::size_t n = 0;
-        for (std::size_t ray = 0; ray < scan.range_m.size(); ++ray) {
+        std::vector<std::size_t> near;
+        Scan kept;
+        for (std::size_t ray = 0; ray < frame.scan.range_m.size(); ++ray) {
             const WorldReturn w = compute_world_return(street, frame, ray);
             if (std::none_of(street.boxes.begin(), street.boxes.end(), [&](const BoxTrack& box) {
                     return box.contains_point(w.point_m, w.time_s, margin_m);
                 }))
                 continue;
-            scan.rays.origin[n] = scan.rays.origin[ray];
-            scan.rays.direction[n] = scan.rays.direction[ray];
-            scan.rays.time_offset_s[n] = scan.rays.time_offset_s[ray];
-            scan.rays.channel[n] = scan.rays.channel[ray];
-            scan.range_m[n] = scan.range_m[ray];
-            scan.intensity[n] = scan.intensity[ray];
-            ++n;
+            near.push_back(ray);
+            kept.range_m.push_back(frame.scan.range_m[ray]);
+            kept.intensity.push_back(frame.scan.intensity[ray]);
         }
-        scan.rays.rows = 1;
-        scan.rays.columns = int(n);
-        scan.rays.origin.resize(n);
-        scan.rays.direction.resize(n);
-        scan.rays.time_offset_s.resize(n);
-        scan.rays.channel.resize(n);
-        scan.range_m.resize(n);
-        scan.intensity.resize(n);
+        kept.rays = select_rays(frame.scan.rays, near);
+        frame.scan = std::move(kept);
     }
 }
 
-/// Car labels with errors of 10 cm must become more accurate.
 TEST_F(Poses, OfTheActorsComeBack) {
     SyntheticOptions options;
     options.n_frames = 7;
@@ -323,9 +301,7 @@ TEST_F(Poses, AreKeptWhereNoneIsRefined) {
     EXPECT_THAT(notes[0], test::Names("train.refine_poses=actors"));
 }
 
-/// The pose of a single sweep cannot be determined, so it must stay unchanged. If it
-/// followed the scene of its sweep, it would move away from the scenes of the remaining
-/// sweeps.
+/// If the pose followed the scene of its own sweep, it would move away from the others.
 TEST_F(Poses, OfASingleSweepStays) {
     const LidarSequence street = street_of(4, 8, 64, true);
     std::vector<std::string> notes;

@@ -18,7 +18,6 @@
 namespace relidar {
 namespace {
 
-/// Process group that uses threads instead of processes.
 class GroupOfThreads {
 public:
     explicit GroupOfThreads(int size) : size_(size), turns_of_(std::size_t(size)) {}
@@ -26,8 +25,7 @@ public:
     ProcessGroup of(int rank) {
         return {rank, size_, [this, rank](const std::string& own) { return gather(std::size_t(rank), own); }};
     }
-    /// Returns for each process (rank) the number of bytes that it contributed. Counts
-    /// only results to which all processes contribute.
+    /// By process (rank). Counts only results to which all processes contribute.
     std::vector<std::size_t> shared_bytes() const {
         std::vector<std::size_t> bytes(std::size_t(size_), 0);
         for (const auto& [turn, part] : parts_)
@@ -107,7 +105,6 @@ void expect_same(const LidarSequence& first, const LidarSequence& second) {
 }
 
 TEST(PrepareLog, AGroupFindsWhatOneProcessFinds) {
-    // The log is long enough for two sections.
     const LidarSequence original_log =
         street({.n_frames = 400, .rows = 16, .columns = 128, .range_noise_m = 0.01, .people = true});
     const TrainTestSplit split = split_frames_into_train_and_test(original_log, 10);

@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests the ray-drop network, the last stage of training. The street is recorded by a
-// sensor that is weak downwards. Surfels cannot represent this effect while the vehicle
-// drives past. The network must predict the effect on held-out frames.
+// Tests the ray-drop network on a street whose sensor is weak downwards. Surfels cannot
+// represent this effect while the vehicle drives past.
 #include <filesystem>
 #include <string>
 
@@ -26,12 +25,10 @@ namespace {
 constexpr float kReach_m = 9.0f;
 
 bool is_weak(const glm::vec3& direction) { return direction.z < 0.0f; }
-/// Returns true for directions well inside the weak beams. Directions at the border are
-/// excluded, because they are still blurred after few training steps.
+/// Directions at the border are still blurred after few training steps.
 bool is_well_inside(const glm::vec3& direction) { return direction.z < -0.02f; }
 
-/// Returns a street in which rays that point down have no returns beyond 9 m. The same
-/// surfaces have returns when they are nearer, so the effect is a property of the sensor.
+/// Rays that point down have no returns beyond 9 m.
 LidarSequence make_weak_street() {
     LidarSequence street = make_synthetic_street(
         {.seed = 5, .n_frames = 11, .rows = 32, .columns = 512, .range_noise_m = 0.01, .speed_mps = 10.0});
@@ -50,11 +47,9 @@ TrainedRun trained(Device& device, LidarSequence street) {
     run.config.train.iterations = 80;
     run.config.train.rays_per_iteration = 4096;
     run.config.train.refine_poses = "none";
-    // Avoids discs that face the sensor, because they would reduce the effect that the
-    // network can learn in so few steps.
+    // Discs that face the sensor would reduce the effect.
     run.config.init.flatness = 1.0;
-    // disables the sensor-drop table and higher harmonics, so that only the network can
-    // learn the effect
+    // only the network can learn the effect
     run.config.train.sensor_drop = false;
     run.config.image.sh_degree = 0;
     run.scene = train(device, run.sequence, run.split, run.config).scene;
@@ -63,7 +58,6 @@ TrainedRun trained(Device& device, LidarSequence street) {
     return run;
 }
 
-/// Returns a run that is trained once for all tests.
 const TrainedRun& make_weak_run(Device& device) {
     static const TrainedRun run = [&] {
         TrainedRun made = trained(device, make_weak_street());
@@ -74,9 +68,8 @@ const TrainedRun& make_weak_run(Device& device) {
     return run;
 }
 
-/// Returns two shares of correctly predicted drops on held-out frames. The first share is
-/// for weak beams that hit a surface near or beyond their maximum range. The second share
-/// is for all remaining pixels.
+/// The first share is for weak beams that hit a surface near or beyond their maximum
+/// range, the second for all remaining pixels.
 std::pair<double, double> measure_accuracies(Device& device, const TrainedRun& run) {
     ScanRenderer renderer(device, run);
     double n[2] = {0.0, 0.0}, right[2] = {0.0, 0.0};
@@ -114,8 +107,6 @@ TEST_F(RefineDrops, NetworkKnowsWhatTheSensorDoesOnHeldOutFrames) {
     EXPECT_EQ(measure_accuracies(device(), run).first, weak_before) << "not asked for";
 }
 
-/// Returns the share of a sensor's rays for which the predicted drop equals the drop in
-/// the exact street.
 double compute_exact_accuracy(ScanRenderer& renderer, const SyntheticOptions& options, const TrainedRun& run,
                               const SimulatedSensor& sensor) {
     double n = 0.0, right = 0.0;
@@ -165,7 +156,6 @@ TEST_F(RefineDrops, ANetworkOfCellsRefinesImagesOfTheirGridAlone) {
     EXPECT_EQ(refined.image.range_m, plain.image.range_m);
 }
 
-/// Trains until `step` steps are finished, and saves checkpoints in a folder.
 void train_until(Device& device, const TrainedRun& run, int step, const std::filesystem::path& folder,
                  const Checkpoint* start = nullptr) {
     int done = 0;
@@ -185,9 +175,6 @@ Checkpoint newest(const std::filesystem::path& folder) {
     return std::move(*checkpoint);
 }
 
-/// Compares a training that was interrupted twice with an uninterrupted training of four
-/// epochs, bit by bit. Training must also continue with a network that was saved and read
-/// again.
 TEST_F(RefineDrops, GoesOnFromACheckpointWithTheSameBits) {
     relidar::TrainedRun run = make_weak_run(device());
     run.config.refine.epochs = 4;
@@ -253,8 +240,6 @@ TEST_F(RefineDrops, ACheckpointOfSomethingElseIsRefusedByName) {
     EXPECT_THROW(train_ray_drop_network_of_run(device(), run, {.start = &of_surfels}), DataError);
 }
 
-/// A file at the path of the checkpoint folder makes saving fail. Training must continue
-/// without checkpoints and report the failure.
 TEST_F(RefineDrops, AFullDiskCostsACheckpointNotTheTraining) {
     relidar::TrainedRun run = make_weak_run(device());
     run.config.refine.epochs = 1;

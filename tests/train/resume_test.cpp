@@ -1,7 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests that a training that was stopped and resumed equals an uninterrupted training:
-// same frames in the same order, same log, same scene. If an error occurs, the last valid
-// checkpoint must remain.
+// Tests that a training that was stopped and resumed equals an uninterrupted training.
 #include <algorithm>
 #include <cmath>
 #include <limits>
@@ -33,7 +31,6 @@ Config make_resumed_config() {
     Config config = make_preset_config("quick");
     config.init.voxel_m = 0.4;
     config.train.iterations = kIterations;
-    // uses a quarter of the rays of a frame, so that the choice of rays is random too
     config.train.rays_per_iteration = 1000;
     config.train.sh_degree_interval = 10;
     config.train.log_every = 10;
@@ -43,7 +40,6 @@ Config make_resumed_config() {
 
 class Resume : public test::DeviceTest {
 protected:
-    /// @param stop_after number of iterations in this session
     TrainResult run(const Config& config, const Checkpoint* start = nullptr, int stop_after = 1 << 30) {
         int calls = 0;
         TrainSession session{folder, start, [&calls, stop_after] { return ++calls >= stop_after; },
@@ -105,8 +101,8 @@ TEST_F(Resume, IsTheTrainingThatWasNotStopped) {
               uninterrupted.scene.sensor_drop.probability.size());
 }
 
-/// With a fixed order of sums, all bits must be equal. Surfels are added and removed
-/// before the stop, between the stop and the next log line, and later.
+/// Surfels are added and removed before the stop, between the stop and the next log line,
+/// and later.
 TEST_F(Resume, ADeterministicTrainingEndsInTheSameBits) {
     using enum DensifyStrategy;
     for (const auto& [strategy, primitive] : {std::pair{none, PrimitiveType::surfel},
@@ -143,8 +139,6 @@ TEST_F(Resume, ADeterministicTrainingEndsInTheSameBits) {
     }
 }
 
-/// A resumed training estimates the corrections of the log again. They must have the same
-/// bits, also if only the poses of actors are refined.
 TEST_F(Resume, PreparedLogsAreTheSameAgain) {
     set_vehicle_poses(street, test::perturb_track(street.world_from_vehicle, 0.05, 0.005, 1));
     const LidarSequence original_street = street;
@@ -190,8 +184,6 @@ TEST_F(Resume, PreparedLogsAreTheSameAgain) {
     }
 }
 
-/// Restores a saved state into a training loop with different values. All saved values
-/// must be restored, bit by bit.
 TEST_F(Resume, RestoresEveryArrayBitByBit) {
     Config config = make_resumed_config();
     config.train.refine_poses = "sensor,actors";
@@ -311,7 +303,6 @@ TEST_F(Resume, AFullDiskCostsTheCheckpointOnly) {
         << "nothing half written";
 }
 
-/// A frame with NaN intensities must end training when it is drawn for the first time.
 TEST_F(Resume, ALossThatIsNoNumberNamesIterationFrameAndTerm) {
     const Config config = make_resumed_config();
     const Scene initial = initialise_scene(street, split.train, config.init);
@@ -347,8 +338,6 @@ TEST_F(Resume, ParametersThatAreNoNumbersAreNeverSaved) {
     EXPECT_TRUE(list_checkpoints(folder).empty());
 }
 
-/// Simulates a lost device and exhausted memory. The last checkpoint must be complete,
-/// and training must be able to resume from it.
 TEST_F(Resume, AFailureLeavesTheLastCheckpoint) {
     Config config = make_resumed_config();
     config.train.checkpoint_every = 5;

@@ -18,8 +18,7 @@ namespace {
 class RigStreet : public test::DeviceTest {};
 
 struct Score {
-    /// range errors of the rays that have a return both in the exact street and in the
-    /// rendering
+    /// of rays with a return both in the exact street and in the rendering
     std::vector<double> errors_m;
     std::size_t rays = 0, drops_right = 0, second_returns = 0, detected = 0, reported = 0, invented = 0;
 
@@ -105,10 +104,8 @@ TEST_F(RigStreet, EachSensorsHeldOutSweepsAreNearTheTruth) {
     }
 }
 
-/// Returns the share of a sensor's ground rays that the scene misses. These rays hit the
-/// ground 5 to 25 m away in the exact street, but have no such hit in an untrained scene.
-/// Uses the first held-out frame.
-/// @param street a prepared log
+/// Share of a sensor's ground rays, 5 to 25 m away in the exact street, that an untrained
+/// scene misses in the first held-out frame.
 double measure_missed_ground(Device& device, const LidarSequence& street, const TrainTestSplit& split,
                              const SyntheticOptions& options, double max_gap_m) {
     Config config = make_rig_config(0);
@@ -132,15 +129,13 @@ double measure_missed_ground(Device& device, const LidarSequence& street, const 
     return missed / ground;
 }
 
-/// Renders a sensor with 64 beams from a log with 32 uneven beams. The road between the
-/// rings of the log must have no holes.
+/// The log has 32 uneven beams.
 TEST_F(RigStreet, ADenserSensorSeesNoHolesBetweenTheRingsOfTheLog) {
     const std::filesystem::path rig =
         std::filesystem::path(testing::TempDir()) / "relidar_sparse_street.json";
     std::ofstream(rig) << R"({"sensors": [{"name": "top", "sensor": "vlp-32c"}]})";
     const SyntheticOptions options{.n_frames = 11, .rig = rig.string()};
     LidarSequence log = make_synthetic_street(options);
-    // holds out the middle frame and the last frame
     const TrainTestSplit split = split_frames_into_train_and_test(log, int(log.frames.size()) / 2);
     prepare_log_for_training(log, split, make_rig_config(0), {});
     const double with = measure_missed_ground(device(), log, split, options, 2.0),

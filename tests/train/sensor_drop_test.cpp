@@ -1,7 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests the estimation of rays for which a sensor never has a return, from few and many
-// sweeps. Covers a sector that the recording vehicle hides, and rays that are dropped
-// occasionally.
+// Tests the estimation of rays for which a sensor never has a return.
 #include "train/drops/sensor_drop.hpp"
 
 #include <algorithm>
@@ -25,9 +23,8 @@ void add_ray(LidarFrame& frame, int beam, int column, bool returns) {
     frame.scan.intensity.push_back(0.0f);
 }
 
-/// Returns sweeps of four beams with every `step`-th column. The second beam has no
-/// returns in a sector. The third beam drops every seventh ray. The fourth beam drops six
-/// of 24 rays, like rays that hit windows.
+/// Four beams with every `step`-th column. The second beam has no returns in a sector.
+/// The third drops every seventh ray. The fourth drops six of 24 rays, like windows.
 LidarSequence log_of(int n_frames, int step = 1) {
     LidarSequence log;
     log.lidars[0].sensor.columns = kColumns;
@@ -112,8 +109,8 @@ TEST(SensorDrop, OnlyABlindSectorIsBlindInOneSweep) {
     }
 }
 
-/// Returns a log of two LiDARs. The first LiDAR does not fire in a sector, and gets no
-/// return in a different sector. Its highest beam never returns.
+/// The first LiDAR does not fire in a sector, and gets no return in a different sector.
+/// Its highest beam never returns.
 LidarSequence log_with_sectors() {
     LidarSequence log = log_of(0);
     log.lidars.push_back(log.lidars[0]);

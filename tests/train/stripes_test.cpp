@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests the division of an image into stripes. The rays of a stripe must be the rays of
-// its pixels. The stripes of all frames together must cover the full image.
+// Tests the division of an image into stripes.
 #include "train/drops/stripes.hpp"
 
 #include <numeric>

@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests the training of actors in front of a background that was trained separately. The
-// actors must become opaque, and all other parts of the scene must not change.
+// Tests the training of actors in front of a background that was trained separately.
 #include <algorithm>
 #include <cmath>
 #include <filesystem>
@@ -21,8 +20,7 @@ namespace {
 
 class TrainActors : public test::DeviceTest {
 protected:
-    /// Makes a street in two blocks, with x < 0 and with x >= 0. Its cars are thin, so
-    /// that rays pass through.
+    /// Two blocks, x < 0 and x >= 0. The cars are thin, so that rays pass through.
     void SetUp() override {
         DeviceTest::SetUp();
         if (IsSkipped() || HasFatalFailure()) return;
@@ -58,8 +56,8 @@ protected:
         return block;
     }
 
-    /// Returns the median error of the mean range on a held-out frame. Uses only rays
-    /// with a return from a car.
+    /// Median error of the mean range on a held-out frame, of rays with a return from a
+    /// car.
     double measure_error_on_cars() {
         const LidarFrame& frame = run.sequence.frames[std::size_t(run.split.test[0])];
         ScanRenderer renderer(device(), run.scene, run.config, run.sequence);
@@ -123,8 +121,7 @@ TEST_F(TrainActors, LeaveABackgroundInMemoryAsItIs) {
     same(&Surfels::sh);
 }
 
-/// Only background near the rays may affect the training of actors. Surfels high above
-/// the street must not change any bit of the result.
+/// Surfels high above the street must not change any bit of the result.
 TEST_F(TrainActors, WhatNoRayNearThemMeetsMakesNoDifference) {
     relidar::TrainedRun other = run;
     Surfels far = load_block_surfels(run.scene.blocks[0]).slice(0, 100);

@@ -1,7 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests training on a small synthetic street. The loss must decrease, and held-out frames
-// must improve over the initialisation. An interruption must keep the current scene.
-// Moving boxes must be masked, and an unsuitable log must be rejected.
+// Tests training on a small synthetic street.
 #include <algorithm>
 #include <cmath>
 #include <map>
@@ -74,7 +72,7 @@ TEST_P(TrainEither, LearnsTheStreet) {
 }
 
 /// The first step of Adam equals the learning rate for any gradient. The rate must be
-/// proportional to 4 x the diagonal of a car's box and not to the extent of the street.
+/// proportional to 4 x the diagonal of a car's box.
 TEST_F(Train, MeansLearnAtTheExtentOfTheirOwnModel) {
     config.train.iterations = 1;
     config.densify.strategy = DensifyStrategy::adaptive;
@@ -120,10 +118,7 @@ TEST_P(TrainEither, SurfelsGrowToSoManyTimesTheirFirstSizeAtMost) {
     EXPECT_GT(at_the_bound, last.size() / 100);
 }
 
-/// Tests training with a single drop logit per ray instead of a hit logit and a drop
-/// logit. Training must start at the same ray-drop probability as with two logits. The
-/// loss of ray drops must decrease. Hit logits must stay 0, during training and in the
-/// saved scene.
+/// With a single drop logit per ray, hit logits must stay 0.
 TEST_F(Train, SingleDropLogitStartsAsTwoAndLeavesHitLogits) {
     config.init.hit_margin = 2.1;
     const auto trained = [&](bool single, int iterations) {
@@ -152,8 +147,7 @@ TEST_F(Train, SingleDropLogitStartsAsTwoAndLeavesHitLogits) {
     EXPECT_LT(drop_term(result.log.back()), 0.8 * drop_term(result.log.front()));
 }
 
-/// Two trainings with actors must end with the same bits. Without memory for the hits,
-/// training must report an error instead of becoming nondeterministic.
+/// Without memory for the hits, training must fail instead of becoming nondeterministic.
 TEST_F(Train, DeterministicTrainingRepeatsItself) {
     SyntheticOptions options = make_small_street();
     options.n_frames = 5;
@@ -187,8 +181,6 @@ TEST_F(Train, StopsWhenAskedAndKeepsTheScene) {
     for (const glm::vec3& p : result.scene.surfels.mean) ASSERT_TRUE(std::isfinite(p.x + p.y + p.z));
 }
 
-/// Trains once with the moving cars as actors and once with masked cars. On the pixels of
-/// the cars, the errors with actors must be much smaller.
 TEST_F(Train, ActorsBeatMasking) {
     SyntheticOptions options = make_small_street();
     options.rows = 32;
@@ -246,8 +238,6 @@ TEST(Targets, RaysOfMovingBoxesAreUnknown) {
     EXPECT_LE(double(masked_rest), 0.05 * double(rest));
 }
 
-/// Rays that hit a moving car must have targets if the car is an actor. Otherwise they
-/// must be masked as long as the car has labels.
 TEST(Targets, RaysOnMovingCarsAreUnknownUnlessTheyAreActors) {
     LidarSequence street = make_synthetic_street(make_small_street());
     const std::vector<BoxTrack> original_boxes = street.boxes;
@@ -280,8 +270,7 @@ TEST(Targets, RaysOnMovingCarsAreUnknownUnlessTheyAreActors) {
     EXPECT_EQ(masked_share(n_labels + 1, false), 0.0) << "nobody knows where it is";
 }
 
-/// Returns true for rays to the left and below. A vehicle body hides the ground in this
-/// direction, but the ground is visible from later or earlier positions.
+/// A vehicle body hides the ground to the left and below.
 bool is_hidden(const RayTable& rays, std::size_t index) {
     const glm::vec3& d = rays.direction[index];
     return d.z < -0.1f && std::abs(std::atan2(d.y, d.x) - 1.5f) < 0.3f;

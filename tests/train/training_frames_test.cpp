@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Compares training frames that stay on the device with frames that are uploaded when
-// they are needed. Rays, targets and the training must be equal bit by bit, and memory
-// must not grow with the length of the log.
+// they are needed.
 #include "train/frames/training_frames.hpp"
 
 #include <algorithm>
@@ -24,9 +23,8 @@ namespace {
 
 constexpr std::uint64_t kAll = ~0ull;
 
-/// Returns the cell of the KITTI-360 grid for a point. The published grid has 66 rows
-/// from +2.0 to -24.9 degrees and 1030 columns with decreasing azimuth from +180 degrees.
-/// Rays are in the centres of the cells.
+/// The published KITTI-360 grid has 66 rows from +2.0 to -24.9 degrees and 1030 columns
+/// with decreasing azimuth from +180 degrees. Rays are in the centres of the cells.
 int find_cell(const glm::vec3& point) {
     const double degrees = 180.0 / kPi,
                  elevation =
@@ -95,11 +93,10 @@ protected:
     }
 };
 
-/// Compares frames with the same arrays computed on the host. Uses a random order with
-/// repetitions, and correct, wrong and missing predictions of the next frame.
+/// In random order with repetitions, and with correct, wrong and missing predictions of
+/// the next frame.
 TEST_F(FramesInTurn, AreThoseOfTheLog) {
     LidarSequence log = street(5);
-    // a smaller scan
     log.frames[3].scan = make_synthetic_street({.n_frames = 5, .rows = 4, .columns = 50}).frames[3].scan;
     for (const auto& [resident_bytes, n_resident] :
          {std::pair(std::uint64_t(0), 0u), {2 * measure_bytes_of_frame(log), 2u}, {kAll, 5u}}) {
@@ -170,8 +167,7 @@ TEST_F(FramesInTurn, AFrameWithoutRaysIsNamed) {
     EXPECT_THAT(message, test::Names("frame 1 ... " + log.name + " ... rays"));
 }
 
-/// Both ways to store frames must train the same scene, bit by bit. Includes the features
-/// that read a frame twice: refined poses, and sensor drops after the last step.
+/// Includes the features that read a frame twice: refined poses, and sensor drops.
 TEST_F(FramesInTurn, TrainTheSameSceneBitByBit) {
     const LidarSequence log =
         make_synthetic_street({.n_frames = 8, .rows = 16, .columns = 256, .moving_cars = true});
@@ -219,8 +215,7 @@ TEST_F(FramesInTurn, WindowsAreNotCircular) {
                      .image.circular);
 }
 
-/// Uses the cells of a grid instead of the fired rays. Settings that need fired rays must
-/// be rejected with an error of a single line.
+/// Settings that need fired rays must be rejected.
 TEST_F(FramesInTurn, AreCellsOfAGrid) {
     const LidarSequence log = street(2);
     TrainingFrames frames(device(), log, positions(log), {.unknown = {}, .grid = make_kitti360_grid()});

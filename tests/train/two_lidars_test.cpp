@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests training on a log of two LiDARs: the loss decreases, and a held-out frame of each
-// LiDAR becomes more similar to its measurement.
+// Tests training on a log of two LiDARs.
 #include <relidar/simulate/render.hpp>
 #include <relidar/train/train.hpp>
 
@@ -22,8 +21,7 @@ Config make_two_lidar_config() {
     return config;
 }
 
-/// Returns the mean absolute depth error of the held-out frame of a LiDAR, on its nominal
-/// rays.
+/// Mean absolute depth error on the nominal rays of a held-out frame.
 double measure_held_out_error(Device& device, const Scene& scene, const Config& config,
                               const LidarSequence& street, const LidarFrame& frame) {
     ScanRenderer renderer(device, scene, config, street);

@@ -1,7 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Joins the runs of blocks into a single run. Tests the content of the joined run,
-// compares its rendering with the same surfels in a single model, and checks the errors
-// for invalid files.
+// Compares the joined run of blocks with the same surfels in a single model.
 #include <algorithm>
 #include <set>
 
@@ -22,8 +20,8 @@ using testing::SizeIs;
 
 constexpr int kFrames = 80;
 
-/// Makes 790 m of road in four blocks, walls at intervals of 7 m, and a car that is part
-/// of the training of two blocks.
+/// 790 m of road in four blocks, walls at intervals of 7 m, and a car that is part of the
+/// training of two blocks.
 class JoinedBlocks : public test::DeviceTest {
 protected:
     void SetUp() override {
@@ -53,8 +51,8 @@ protected:
         save_run(run);
     }
 
-    /// Saves block `index` in the same way as training. Blocks 0 and 1 contain the car.
-    /// In block 0, the car is near the sensor in more frames.
+    /// Blocks 0 and 1 contain the car. In block 0, the car is near the sensor in more
+    /// frames.
     void save_block(std::size_t index) {
         const BlockTrainingLog part =
             copy_frames_and_boxes_of_block(log, run.split, blocks[index], run.config);
@@ -146,8 +144,7 @@ TEST_F(JoinedBlocks, RendersAsOnePieceWithFewBlocksOnTheDevice) {
     std::uint64_t most = 0;
     {
         ScanRenderer in_blocks(device(), run.scene, config, log);
-        // drives along the road and back to its start, so that blocks are loaded and
-        // released
+        // along the road and back to its start, so that blocks are loaded and released
         for (const int frame : {0, 20, 21, 40, 60, 79, 3}) {
             const RenderedScan scan = in_blocks.render(sensor, log.frames[std::size_t(frame)].time_s);
             most = std::max(most, device().allocated_bytes() - before);

@@ -1,7 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests the division of exact routes into blocks. Checks the sweeps of each block, the
-// frames that train the block, and the surfels that the block contains. Compares with
-// brute force.
+// Tests the division of exact routes into blocks. Compares with brute force.
 #include <algorithm>
 #include <numeric>
 
@@ -23,8 +21,8 @@ glm::dvec3 place(const LidarSequence& log, int position) {
     return log.world_from_vehicle.pose[std::size_t(position)].translation;
 }
 
-/// Checks that each frame belongs to exactly one block, in order. Checks that a block is
-/// trained with exactly the frames that are at most `halo_m` away from it.
+/// Each frame belongs to exactly one block, in order. A block is trained with exactly the
+/// frames that are at most `halo_m` away from it.
 void expect_valid(const LidarSequence& log, const TrainTestSplit& split,
                   const std::vector<TrajectoryBlock>& blocks, double halo_m) {
     std::vector<int> all_recorded_frames;
@@ -105,8 +103,7 @@ TEST(PlanBlocks, RefusesABlockThatNothingTrains) {
 }
 
 TEST(BlockLog, MovesAsTheLogDoes) {
-    // Drives along a road and back after a long detour, so that a block has frames with a
-    // time gap between them.
+    // along a road and back after a long detour
     const LidarSequence log = log_along(300, [](int index) {
         if (index < 100) return glm::dvec3(0.8 * index, 0.0, 0.0);
         return index < 200 ? glm::dvec3(80.0, 5.0 * (index - 100), 0.0)

@@ -9,8 +9,7 @@
 
 namespace relidar::test {
 
-/// Returns a log of `count` frames at intervals of 0.1 s. In frame i the vehicle is at
-/// position way(i).
+/// Frames at intervals of 0.1 s. In frame i the vehicle is at path(i).
 inline LidarSequence log_along(int count, const std::function<glm::dvec3(int)>& path) {
     LidarSequence log;
     log.name = "way";
@@ -22,8 +21,7 @@ inline LidarSequence log_along(int count, const std::function<glm::dvec3(int)>& 
     return log;
 }
 
-/// Returns surfels with a standard deviation of 1 m that face along x. For each x, the
-/// surfels are at intervals of 10 m along y.
+/// Standard deviation of 1 m, facing along x. At each x, at intervals of 10 m along y.
 inline Surfels make_walls_at(const std::vector<float>& xs) {
     Surfels surfels;
     surfels.resize(3 * xs.size());
@@ -34,7 +32,6 @@ inline Surfels make_walls_at(const std::vector<float>& xs) {
         surfels.opacity_logit[i] = 6.0f;
         for (std::size_t k = 0; k < kShFloats; ++k) surfels.sh[i * kShFloats + k] = 0.0f;
         surfels.sh[i * kShFloats + kShCoefficients] = 20.0f;  // hit logit
-        // each wall has a different brightness
         surfels.sh[i * kShFloats] = 0.01f * (xs[i / 3] - 100.0f) / 3.0f;
     }
     return surfels;

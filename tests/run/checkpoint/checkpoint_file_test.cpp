@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests checkpoint files. Every damage must be detected and reported in a single line.
-// The previous checkpoint must then be used, and the last valid checkpoint must never be
-// lost. Python must read the files according to the documented format.
+// Tests checkpoint files. If one is damaged, the previous checkpoint must be used. Python
+// must read the files according to the documented format.
 #include <cstdlib>
 #include <limits>
 #include <random>
@@ -40,7 +39,6 @@ void expect_equal(const Checkpoint& first, const Checkpoint& second) {
     }
 }
 
-/// Newest valid checkpoint of a folder, and the notes that loading reported.
 struct Loaded {
     std::optional<Checkpoint> checkpoint;
     std::vector<std::string> notes;
@@ -165,8 +163,7 @@ TEST_F(CheckpointFile, KeepsTheNewestAndLeavesNoFuture) {
     EXPECT_EQ(load(folder / "c").checkpoint->iteration, 40);
     put(list_checkpoints(folder / "c").back(), "damaged");  // training resumes from 30 ...
     EXPECT_EQ(load(folder / "c").checkpoint->iteration, 30);
-    // Checkpoint 40 is damaged, so training has resumed from checkpoint 30 and saves
-    // checkpoint 35. Checkpoint 40 must not count as newer.
+    // Training has resumed from checkpoint 30, because 40 is damaged.
     save_checkpoint(folder / "c", example(35), 2);
     EXPECT_EQ(list_checkpoints(folder / "c").size(), 2u);
     EXPECT_EQ(load(folder / "c").checkpoint->iteration, 35);

@@ -1,7 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests CheckpointWriter and CheckpointReader, which save and load training states. Host
-// and device values must be restored bit by bit. If a value does not fit, the error must
-// name it.
+// Tests CheckpointWriter and CheckpointReader.
 #include <bit>
 
 #include <relidar/run/checkpoint.hpp>

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests the computed number of rays that hit an actor at its nearest position. Compares
-// it with the solid angle of the actor's box.
+// Compares the number of rays that hit an actor at its nearest position with the solid
+// angle of the actor's box.
 #include <relidar/run/edit.hpp>
 
 #include <cmath>
@@ -12,8 +12,8 @@
 namespace relidar {
 namespace {
 
-/// Returns a scene with a LiDAR at the origin and a cube of 2 m that passes at 10 m on
-/// the left. The LiDAR has 200 beams from -30 to 30 degrees and 3600 columns.
+/// A cube of 2 m passes a LiDAR at the origin at 10 m on the left. The LiDAR has 200
+/// beams from -30 to 30 degrees and 3600 columns.
 SceneWithLog make_passing_cube(std::uint32_t n_surfels) {
     SceneWithLog d;
     d.scene.surfels.resize(n_surfels);
@@ -39,8 +39,7 @@ TEST(ActorDetail, CountsTheRaysThatMeetTheBoxWhereItIsNearest) {
     EXPECT_DOUBLE_EQ(detail.nearest_m, 10.0);
     EXPECT_NEAR(detail.time_s, 0.5, 1e-12);
     EXPECT_EQ(detail.surfels, 500u);
-    // The near face of 2 x 2 m at 9 m hides the remaining faces. The expected number of
-    // rays is counted by steps of azimuth and elevation.
+    // The near face of 2 x 2 m at 9 m hides the remaining faces.
     double expected = 0.0;
     for (int column = 0; column < 3600; ++column) {
         const double azimuth = (column + 0.5) * 2.0 * kPi / 3600.0 - kPi;

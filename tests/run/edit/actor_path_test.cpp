@@ -1,6 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests trajectory files with and without header, with three and six degrees of freedom,
-// and with all types of errors.
 #include <relidar/run/edit.hpp>
 
 #include <cmath>
@@ -77,7 +75,7 @@ TEST_F(TrajectoryFile, ColumnsAreReadByName) {
 TEST_F(TrajectoryFile, IsReadBackAsItWasWritten) {
     PoseTrack track;
     for (int i = 0; i < 50; ++i) {
-        // uses seconds since 1970, and coordinates of a large world in metres
+        // seconds since 1970, coordinates of a large world
         track.time_s.push_back(1317042272.25 + 0.1 * i);
         track.pose.push_back(
             {glm::normalize(glm::dquat(std::cos(i), std::sin(2.0 * i), std::cos(3.0 * i), std::sin(i))),
@@ -100,7 +98,6 @@ TEST_F(TrajectoryFile, ComplaintsNameLineAndColumn) {
     EXPECT_THAT(error("0,1,2,3\n"), test::Names("line 1: found 4 columns"));
     EXPECT_THAT(error("0,1,2,3,4,5,6,7\n"), test::Names("found 8 columns"));
     EXPECT_THAT(error("time_s,x,y,z,yaw_deg\n0,1,2,3,0\n"), test::Names("1 poses"));
-    // The end of the last line is missing, but its yaw is complete.
     EXPECT_THAT(error("time_s,x,y,z,yaw_deg,pitch_deg,roll_deg\n0,1,2,3,0,4,5\n1,1,2,3,0\n"),
                 test::Names("line 3: found 5 columns, expected 7"));
     EXPECT_THAT(error("0,1,2,3,0,4,5\n1,1,2,3,0,4\n"), test::Names("line 2: found 6 columns, expected 7"));

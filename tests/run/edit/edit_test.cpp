@@ -1,7 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests edits of a scene. They must change tracks and instances according to their
-// equations. All other data, including surfels, must not change in any bit. An edited
-// scene must render the edit.
+// Tests edits of a scene. All data that an edit does not name must keep their bits.
 #include <relidar/run/edit.hpp>
 
 #include <algorithm>
@@ -27,8 +25,8 @@ Pose at(double x, double y, double yaw_rad = 0.0) {
     return {glm::angleAxis(yaw_rad, glm::dvec3(0, 0, 1)), {x, y, 0.5}};
 }
 
-/// Returns a scene with ten frames and a background of 3 surfels. It also has a van of 2
-/// surfels that drives a curve, a car of 4 surfels, and a pedestrian without a model.
+/// Ten frames, a background of 3 surfels, a van of 2 surfels that drives a curve, a car
+/// of 4 surfels, and a pedestrian without a model.
 SceneWithLog example() {
     SceneWithLog d;
     d.scene.surfels = make_numbered_surfels(3, 0.0f);
@@ -64,7 +62,7 @@ std::vector<std::string> tracks(const SceneWithLog& driving) {
     return names;
 }
 
-/// Returns x of the first surfel of an instance, and the number of its surfels.
+/// x of the first surfel of an instance, and the number of its surfels
 std::pair<float, std::uint32_t> model_of(const SceneWithLog& driving, std::size_t instance) {
     const SurfelModel& m = driving.scene.models[driving.scene.instances[instance].model];
     return {m.count ? driving.scene.surfels.mean[m.first].x : 0.0f, m.count};
@@ -87,10 +85,8 @@ TEST(Edit, RemovedActorsLeaveWithTheirSurfelsAndBoxes) {
     EXPECT_EQ(d.scene.sensor_drop.probability, std::vector<float>{0.25f}) << "the sensor has not changed";
 }
 
-/// The program must report in how many frames an edited actor is absent. The van has
-/// labels from 0 to 0.9 s. Delayed by 0.4 s, it is absent from frames 0 to 3, because a
-/// track extends half a step before its first pose. With a different path from 0.2 to 0.5
-/// s, it is absent from frames 0, 1, 6, 7, 8 and 9.
+/// The van has labels from 0 to 0.9 s. Delayed by 0.4 s, it is absent from frames 0 to 3,
+/// because a track extends half a step before its first pose.
 TEST(Edit, SaysHowManyFramesLoseAnActor) {
     const SceneWithLog before = example();
     const BoxTrack van = box(before, "van");
@@ -103,7 +99,7 @@ TEST(Edit, SaysHowManyFramesLoseAnActor) {
     EXPECT_EQ(describe_frames_without_actor(van, move_track(before, "van", at(0, 1)).sequence), "");
 }
 
-/// Returns the example. The log has observed only the left side of its car.
+/// The log has observed only the left side of its car.
 SceneWithLog make_example_seen_from_left() {
     SceneWithLog recorded = example();
     ObservedBoxSurface left_side({4.0, 2.0, 1.5});
@@ -115,8 +111,6 @@ SceneWithLog make_example_seen_from_left() {
     return recorded;
 }
 
-/// Moves that cancel each other must not change the scene in any bit, not even by the
-/// mirrored surfels of a moved actor.
 TEST(Edit, MovingThereAndBackIsTheIdentity) {
     const SceneWithLog recorded = make_example_seen_from_left();
     const std::vector<BoxTrack>& boxes = recorded.sequence.boxes;
@@ -148,8 +142,6 @@ TEST(Edit, RefusesNumbersThatAreNotFinite) {
     }
 }
 
-/// The recorded actor keeps its surfels, because the recording shows them. All copies of
-/// the actor share one model, which is that of a moved actor.
 TEST(Edit, CopyDoesNotChangeRecordedActor) {
     const SceneWithLog recorded = make_example_seen_from_left();
     const auto complete = [&](SceneWithLog edited) {

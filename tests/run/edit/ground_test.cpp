@@ -32,9 +32,8 @@ void add_surfel(Surfels& surfels, const glm::dvec3& mean, const glm::dvec3& norm
 
 double compute_slope_height(double x, double y) { return kAlong * x + kAcross * y; }
 
-/// Returns a scene with a slope of 40 x 20 m around the origin and a van. The surfels of
-/// the slope are 0.25 m apart, with noise of 2 cm. The van drives uphill with its box 0.2
-/// m above the slope.
+/// The surfels of the slope are 0.25 m apart, with noise of 2 cm. The van drives uphill
+/// with its box 0.2 m above the slope.
 SceneWithLog make_slope() {
     SceneWithLog d;
     int n = 0;
@@ -68,7 +67,6 @@ NewActorMotion place_on_ground(const SceneWithLog& driving, const GroundPlacemen
                                     {driving.scene, driving.sequence}, track);
 }
 
-/// Returns the pose of the van in relidar's world after it is placed at a position.
 Pose placed(const SceneWithLog& driving, double x, double y, std::optional<double> yaw_rad = {}) {
     NewActorMotion start =
         place_on_ground(driving, {{x + kWorldOffset_m.x, y + kWorldOffset_m.y}, yaw_rad, 3.0}, "van");
@@ -77,8 +75,6 @@ Pose placed(const SceneWithLog& driving, double x, double y, std::optional<doubl
     return start.dataset_from_box;
 }
 
-/// Checks that the van is at x, y on the slope, with its original height above the ground
-/// and the expected heading.
 void expect_on_slope(const Pose& pose, double x, double y, double yaw_rad) {
     EXPECT_NEAR(pose.translation.x, x, 1e-9);
     EXPECT_NEAR(pose.translation.y, y, 1e-9);
@@ -150,7 +146,6 @@ TEST(Ground, IsNeitherARoofNorAWallNorWhatIsFaint) {
     for (double x = 2.0; x <= 10.0; x += 0.1)
         for (double y = -1.0; y <= 7.0; y += 0.1) {
             add_surfel(others, {x, y, compute_slope_height(x, y) + 6.0}, {0, 0, 1});  // a bridge
-            // a wall next to the van
             if (y > 4.0) add_surfel(others, {x, 4.0, compute_slope_height(x, 4.0) + (y - 4.0)}, {0, 1, 0});
             add_surfel(others, {x, y, compute_slope_height(x, y) + 0.8}, {0, 0, 1});  // haze
             others.opacity_logit.back() = -6.0f;
@@ -246,7 +241,6 @@ TEST(Ground, OfTheStreetIsWhereItsCarsDrive) {
     d.scene = initialise_scene(d.sequence, all, options);
     ASSERT_FALSE(d.sequence.boxes.empty());
     const BoxTrack& car = d.sequence.boxes.front();
-    // the street is flat
     const glm::dvec3 there = car.world_from_box.pose.front().translation + d.sequence.world_offset_m;
     for (const glm::dvec2 beside : {glm::dvec2(0.0, 0.0), glm::dvec2(-6.0, 3.0), glm::dvec2(8.0, 0.0)}) {
         const Pose pose = place_on_ground(d, {glm::dvec2(there) + beside}, car.id).dataset_from_box;

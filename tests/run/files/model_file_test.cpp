@@ -1,7 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests model.safetensors. Values must be read back exactly. Truncated files, missing
-// arrays, wrong shapes, values that are not finite, and models that do not cover the
-// surfels must be rejected.
 #include <relidar/run/run.hpp>
 
 #include <algorithm>
@@ -117,8 +114,6 @@ TEST_F(ModelFile, GaussiansHaveASixthArray) {
     EXPECT_THAT(load_error(), test::Names("primitive ... \"cube\" ... surfel, gaussian"));
 }
 
-/// Each primitive in relidar/scene/primitives.h must be saved and loaded without code for
-/// the primitive.
 TEST_F(ModelFile, EveryPrimitiveComesBack) {
     for (const PrimitiveProperties& kind : kPrimitives) {
         convert_to_primitive(scene.surfels, kind.primitive, 0.3);

@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests that a run folder is created completely or not at all. An earlier run in the same
-// folder must remain until the new run is written.
+// An earlier run in the same folder must remain until the new run is written.
 #include <relidar/run/run.hpp>
 
 #include <gmock/gmock.h>

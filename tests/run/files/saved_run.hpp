@@ -8,7 +8,6 @@
 
 namespace relidar {
 
-/// Fixture that saves the example run.
 class SavedRun : public TemporaryFolder {
 protected:
     void SetUp() override {

@@ -1,8 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests the scores of moving boxes for scans whose errors are exact. The scans are an
-// exact copy, a scan with ranges that are too long, a scan without points, and a scan
-// with a point at an earlier position of a car. Compares the points in a box with the
-// points of each ray at its firing time.
+// Tests the scores of moving boxes for scans whose errors are exact.
 #include "score/evaluation/actor_scores.hpp"
 
 #include <algorithm>
@@ -87,8 +84,6 @@ TEST_F(ActorScoresOf, RangesThatAreTooLongHaveThisBias) {
     EXPECT_GE(n_well_sampled, 3u);
 }
 
-/// Moves a point of the last frame to the position that the centre of a car had in the
-/// first frame. The scores must count this point as a trace behind the car.
 TEST_F(ActorScoresOf, APointWhereACarWasIsInItsTail) {
     const LidarFrame& last = street.frames.back();
     const BoxTrack* fastest = nullptr;

@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Compares the evaluation of many frames with the evaluation of each single frame. The
-// images of a frame must exist while the caller reads them and be released afterwards.
+// Compares the evaluation of many frames with the evaluation of each single frame.
 #include <relidar/score/evaluation.hpp>
 
 #include <algorithm>
@@ -32,8 +31,6 @@ protected:
         std::iota(positions.begin(), positions.end(), 0);
     }
 
-    /// Checks that every frame was reported with its images. After the evaluation, only
-    /// the images of the middle frame must still be stored.
     void expect_forgotten(const EvaluationResult& evaluation, const std::vector<ScoredFrame>& frames) {
         ASSERT_EQ(evaluation.frames.size(), std::size_t(kFrames));
         ASSERT_EQ(frames.size(), std::size_t(kFrames));
@@ -101,7 +98,6 @@ TEST_F(EvaluationOf, ALogWithoutIntensitiesHasNoScoresOfThem) {
 TEST_F(EvaluationOf, ABaselineForgetsImagesToo) {
     run.split = {{}, {}};
     for (int i = 0; i < kFrames; ++i) {
-        // uses each frame as its neighbour too, because the scores do not matter here
         run.split.train.push_back(i);
         run.split.test.push_back(i);
     }
@@ -121,8 +117,6 @@ std::size_t find_error_bin(bool is_missed, double error_m) {
     return error_m < 1.0 ? 2 : 3;
 }
 
-/// Computes the errors by range from the images, ray by ray, and compares them with the
-/// evaluation.
 TEST_F(EvaluationOf, CountsErrorsByRange) {
     ScanRenderer renderer(device(), run);
     std::vector<ScoredFrame> reported_frames;

@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests both metric protocols on small images whose metrics are computed by hand, and
-// cases in which a metric is undefined.
+// Tests both metric protocols on small images whose metrics are computed by hand.
 #include <relidar/log/range_image.hpp>
 #include <relidar/score/metrics.hpp>
 
@@ -15,8 +14,7 @@
 namespace relidar {
 namespace {
 
-/// Returns an image whose rays start at (0, 0, 1). They point along x, y and z in turn,
-/// so that the pixels 0 to 2 have different rays.
+/// Rays start at (0, 0, 1) and point along x, y and z in turn.
 RangeImage image_of(int rows, int columns, std::vector<float> range_m, std::vector<float> intensity,
                     std::vector<float> drop_prob) {
     RangeImage image{rows, columns, std::move(range_m), std::move(intensity), std::move(drop_prob), {}, {}};
@@ -53,7 +51,6 @@ TEST(Evaluate, PeerImageErrorsByHand) {
     EXPECT_NEAR(row.at("peer/intensity_mae"), (i0 + i1 + i2) / 3.0, 1e-12);
     EXPECT_NEAR(row.at("peer/intensity_medae"), 0.25, 1e-12);
     EXPECT_NEAR(row.at("peer/intensity_psnr_db"), -10.0 * std::log10(intensity_mse), 1e-12);
-    // the image has a single row, which is smaller than an SSIM window
     EXPECT_FALSE(row.contains("peer/depth_ssim"));
 }
 
@@ -170,7 +167,6 @@ TEST(Evaluate, IdenticalImagesArePerfect) {
          {"peer/depth_ssim", "peer/intensity_ssim", "peer/f_score", "strict/f_5cm", "strict/f_22cm",
           "strict/drop_accuracy", "strict/drop_precision", "strict/drop_recall", "strict/drop_f1"})
         EXPECT_NEAR(row.at(name), 1.0, 1e-12) << name;
-    // limited, not infinite
     EXPECT_NEAR(row.at("peer/depth_psnr_db"), 10.0 * std::log10(6400.0 / 1e-20), 1e-9);
     EXPECT_NEAR(row.at("peer/intensity_psnr_db"), 200.0, 1e-9);
     // The row has 12 metrics of the peer protocol and 25 metrics of the strict protocol.
@@ -188,7 +184,6 @@ TEST(Evaluate, LeavesOutWhatIsNotDefined) {
     EXPECT_EQ(nothing.at("strict/drop_f1"), 1.0);
     const MetricValues missed = evaluate(dropped, returned);
     EXPECT_FALSE(missed.contains("strict/cd_mean_m"));
-    // if all points are missed, the score is 0 and not undefined
     EXPECT_EQ(missed.at("strict/f_22cm"), 0.0);
     for (const auto& [name, value] : missed) EXPECT_TRUE(std::isfinite(value)) << name;
 }

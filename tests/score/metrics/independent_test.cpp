@@ -32,8 +32,6 @@ struct Pair {
     std::vector<float> moving;
 };
 
-/// Returns two correlated images with random directions. Some ranges exceed 80 m, and
-/// some intensities exceed 1.
 Pair make_random_pair() {
     std::mt19937 random(20261120);
     std::uniform_real_distribution<float> unit(0.0f, 1.0f);

@@ -1,8 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests the image metric LPIPS. Compares it with a network that is evaluated by direct
-// loops in double precision with random weights. Also tests the published weights against
-// published values (../shared/data/lpips; skipped if RELIDAR_SHARED does not contain
-// them).
+// Compares LPIPS with direct loops in double precision for random weights, and with
+// published values (../shared/data/lpips; skipped without RELIDAR_SHARED).
 #include <relidar/score/metrics.hpp>
 
 #include <algorithm>
@@ -44,7 +42,6 @@ LpipsWeights make_random_weights() {
     return weights;
 }
 
-/// Channels of rows x columns values.
 struct Planes {
     int channels, rows, columns;
     std::vector<double> values;
@@ -54,7 +51,6 @@ struct Planes {
     }
 };
 
-/// Computes a convolution with zero padding and ReLU directly from the definition.
 Planes convolve(const Planes& in, const LpipsWeights& weights, int layer, int stride, int padding) {
     const int edge = kEdge[layer];
     Planes out{kOut[layer],

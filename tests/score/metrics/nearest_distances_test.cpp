@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Compares the nearest-neighbour search with brute force, for random, clustered and
-// planar clouds and for clouds far from the origin.
+// Compares the nearest-neighbour search with brute force.
 #include <relidar/score/metrics.hpp>
 
 #include <algorithm>

@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests the baseline that predicts a scan from its neighbouring scans. Poses and moving
-// boxes move the points to the time of the scan, and each point is assigned to a ray.
-// Also tests the regions of the metrics.
+// Tests the baseline that predicts a scan from its neighbouring scans, and the regions of
+// the metrics.
 #include <relidar/log/range_image.hpp>
 #include <relidar/score/metrics.hpp>
 
@@ -20,7 +19,6 @@ Pose turned(double yaw_rad, glm::dvec3 translation) {
     return {glm::angleAxis(yaw_rad, glm::dvec3(0.0, 0.0, 1.0)), translation};
 }
 
-/// Returns a frame from a list of returns. All returns have the same time offset.
 LidarFrame make_frame(int index, double time_s, const std::vector<glm::vec3>& points, float offset_s) {
     LidarFrame frame{index, time_s, {}};
     for (const glm::vec3& p : points) {
@@ -36,8 +34,8 @@ LidarFrame make_frame(int index, double time_s, const std::vector<glm::vec3>& po
     return frame;
 }
 
-/// Returns five sweeps at intervals of 0.1 s from a sensor that drives and turns. Each
-/// sweep has a single return. The tests evaluate sweep 2.
+/// From a sensor that drives and turns. Each sweep has a single return. The tests
+/// evaluate sweep 2.
 LidarSequence drive(bool rolling_shutter) {
     LidarSequence s;
     s.rolling_shutter = rolling_shutter;
@@ -69,8 +67,6 @@ TEST(Neighbours, AreTheNearestTrainingFramesMovedByThePoses) {
     EXPECT_THROW((void)predict_scan_from_neighbours(s, 2, {}, BoxPointMotion::stay), DataError);
 }
 
-/// With a rolling shutter, the baseline must use the sensor positions at the firing times
-/// of both scans.
 TEST(Neighbours, FollowTheRollingShutter) {
     const LidarSequence s = drive(true);
     const Scan points = predict_scan_from_neighbours(s, 2, {1, 3}, BoxPointMotion::stay);

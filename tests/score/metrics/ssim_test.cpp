@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Compares structural similarity with a direct evaluation of its definition (49 pixels
-// per window) and with closed forms.
+// Compares structural similarity with its definition (49 pixels per window).
 #include <relidar/score/metrics.hpp>
 
 #include <cmath>
@@ -15,8 +14,6 @@ namespace {
 
 using Values = std::vector<double>;
 
-/// Evaluates each window in two passes: first the means, then the central moments divided
-/// by 48.
 double compute_reference_ssim(const Values& a, const Values& second, int rows, int columns,
                               double data_range) {
     const double c1 = 1e-4 * data_range * data_range, c2 = 9e-4 * data_range * data_range;

@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests the HTML report. It must be complete, self-contained and well-formed. Special
-// characters in names must be escaped.
+// Tests that the HTML report is complete, self-contained, well-formed and escaped.
 #include <relidar/base/images.hpp>
 #include <relidar/score/report.hpp>
 
@@ -39,8 +38,6 @@ Report make_some_report() {
     return report;
 }
 
-/// Returns the report with three points: a point at (1.5, -2, 0.25) m, a point beyond the
-/// displayed range, and a NaN point.
 Report report_with_view() {
     Report report = make_some_report();
     const float nan = std::nanf("");
@@ -50,7 +47,6 @@ Report report_with_view() {
     return report;
 }
 
-/// Returns the text between two texts.
 std::string between(const std::string& text, const std::string& before, const std::string& after) {
     const std::size_t start = text.find(before) + before.size();
     return text.substr(start, text.find(after, start) - start);
@@ -67,7 +63,6 @@ std::size_t count(const std::string& text, const std::string& part) {
     return n;
 }
 
-/// Checks that every opened element of the body is closed, in order.
 void expect_well_formed(const std::string& html) {
     std::vector<std::string> open;
     std::size_t at = html.find("<body>");
@@ -89,7 +84,6 @@ void expect_well_formed(const std::string& html) {
     EXPECT_TRUE(open.empty());
 }
 
-/// Returns the y coordinates of the points of the first path.
 std::vector<double> list_path_heights(const std::string& html) {
     const std::size_t start = html.find(" d=\"M") + 4, end = html.find('"', start);
     std::istringstream path(html.substr(start, end - start));
