@@ -78,7 +78,6 @@ public:
         visit("term_sums", sums_);
         visit("n_summed", n_summed_);
     }
-    bool is_restored_report_state_valid() const { return sums_.size() == kLossTerms; }
 
 private:
     static constexpr std::size_t kRows = 64;

@@ -36,13 +36,6 @@ std::optional<std::size_t> FrameSampler::peek_next_frame_index() const {
     return position_ == 0 ? std::nullopt : std::optional(std::size_t(order_[position_]));
 }
 
-bool FrameSampler::is_restored_frame_order_valid(std::size_t n_frames) const {
-    std::vector<std::uint64_t> sorted = order_, all(n_frames);
-    std::sort(sorted.begin(), sorted.end());
-    std::iota(all.begin(), all.end(), std::uint64_t(0));
-    return sorted == all && position_ < n_frames;
-}
-
 namespace {
 
 /// Relative to the rate of the constant coefficient. A twentieth, as in 3D Gaussian
@@ -216,12 +209,6 @@ const TrainingFrameData& TrainLoop::upload_frame_and_move_instances(std::size_t 
     return frame;
 }
 
-const TrainingFrameData& TrainLoop::prepare_frame_for_step(std::size_t frame_index, int step) {
-    renderer_.set_sh_degree(get_active_sh_degree(config_.train, step));
-    return upload_frame_and_move_instances(
-        frame_index, should_refit_tree(choose_tree_refit_options(config_, n_fixed_), config_.train, step));
-}
-
 void TrainLoop::record_render_and_backward(const RayBatch& rays, const TargetBatch& targets,
                                            const LossTermRow& loss_terms) {
     renderer_.record_forward_pass(rays);  // renders the batch (equations 2-4)
@@ -237,7 +224,9 @@ void TrainLoop::run_iteration(int step, bool is_last_of_log_interval) {
     const std::size_t frame_index = sampler_.sample_next_frame_index();
     DeviceScene& scene = renderer_.scene();
 
-    const TrainingFrameData& frame = prepare_frame_for_step(frame_index, step);
+    renderer_.set_sh_degree(get_active_sh_degree(config_.train, step));
+    const TrainingFrameData& frame = upload_frame_and_move_instances(
+        frame_index, should_refit_tree(choose_tree_refit_options(config_, n_fixed_), config_.train, step));
     if (const std::optional<std::size_t> next_frame_index = sampler_.peek_next_frame_index())
         frames_.prefetch_frame(*next_frame_index);
     const SampledBatch batch = batches_.sample_random_batch(stream_, frame, sampler_.get_random_generator());
@@ -264,8 +253,9 @@ void TrainLoop::run_iteration(int step, bool is_last_of_log_interval) {
                            renderer_.model().sh_degree);
     reports_.add_iteration_to_next_report(step, frame.index);
     if (densifier_.should_densify_after_step(step))
-        densify_and_reallocate_memory([&](double other_allocation_bytes) {
-            return densifier_.densify_surfels(stream_, scene, adam_, step, other_allocation_bytes);
+        differentiable_.change_surfels_and_reallocate_memory([&](double other_allocation_bytes) {
+            densified_.add_counts(
+                densifier_.densify_surfels(stream_, scene, adam_, step, other_allocation_bytes));
         });
     densifier_.record_opacity_reset_if_scheduled(stream_, scene, adam_, step);
     if (is_last_of_log_interval || reports_.is_loss_table_full())
@@ -273,12 +263,6 @@ void TrainLoop::run_iteration(int step, bool is_last_of_log_interval) {
     if (step % kGrowthEvery == 0) renderer_.accel().record_bvh_cost_measurement(stream_);
     submitted_ = stream_.submit_commands();
     last_step_ = step;
-}
-
-void TrainLoop::densify_and_reallocate_memory(
-    const std::function<DensifyReport(double other_allocation_bytes)>& densify) {
-    differentiable_.change_surfels_and_reallocate_memory(
-        [&](double other_allocation_bytes) { densified_.add_counts(densify(other_allocation_bytes)); });
 }
 
 void TrainLoop::start_iteration_report_readback(int step, bool is_last_of_log_interval) {
@@ -360,13 +344,7 @@ void TrainLoop::restore_training_state_from_checkpoint(const Checkpoint& checkpo
     wait_for_iterations();
     visit_checkpoint_state(CheckpointReader(checkpoint));
     last_step_ = checkpoint.iteration;
-    if (!sampler_.is_restored_frame_order_valid(frames_.get_all_frames().size()) ||
-        !reports_.is_restored_report_state_valid())
-        fail(
-            "cannot resume from iteration {}: the checkpoint's order of frames or its sums of the losses do "
-            "not match the {} training frames and {} loss terms of this training; train again",
-            checkpoint.iteration, frames_.get_all_frames().size(), kLossTerms);
-    refiner_.update_poses_after_restore();
+    refiner_.update_corrected_poses();
 }
 
 RayDropTable TrainLoop::estimate_sensor_drop_rates(Device& device, const LidarSequence& sequence) {

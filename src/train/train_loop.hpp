@@ -2,7 +2,6 @@
 // Runs training iterations and owns all of their data on the device.
 #pragma once
 
-#include <functional>
 #include <memory>
 #include <optional>
 #include <vector>
@@ -38,7 +37,6 @@ public:
         visit("sampler/position", position_);
         visit("sampler/random", random_.get_mutable_generator_state());
     }
-    bool is_restored_frame_order_valid(std::size_t n_frames) const;
 
 private:
     std::vector<std::uint64_t> order_;
@@ -79,7 +77,7 @@ public:
     /// @throws DataError if a loss of these iterations was not finite
     void save_training_state_to_checkpoint(Checkpoint& checkpoint);
     /// The loop must have been created with the scene and the log of the checkpoint.
-    /// @throws DataError if the state does not match
+    /// @throws DataError if an array is missing or has another shape
     void restore_training_state_from_checkpoint(const Checkpoint& checkpoint);
     /// Uses only rays for which the scene predicts a return. Waits for the device.
     RayDropTable estimate_sensor_drop_rates(Device& device, const LidarSequence& sequence);
@@ -142,9 +140,7 @@ private:
             visit(std::string("densify/report/") + name, densified_.*count);
     }
 
-    /// Records the rays of a frame, the poses of its instances, and the surfel
-    /// intensities.
-    const TrainingFrameData& prepare_frame_for_step(std::size_t frame_index, int step);
+    /// Records the rays of a frame and the poses of its instances.
     /// @param surfels_changed  true if surfels have changed since the last frame
     const TrainingFrameData& upload_frame_and_move_instances(std::size_t frame_index, bool surfels_changed);
     void record_render_and_backward(const RayBatch& rays, const TargetBatch& targets,
@@ -159,8 +155,6 @@ private:
     void increase_stored_hits_per_ray_if_needed(const IterationReports::IterationGroupReport& report);
     void add_batch_to_drop_counts(RayDropCounts& counts, const LidarSequence& sequence,
                                   const TrainingFrameData& frame, const SampledBatch& batch);
-    void densify_and_reallocate_memory(
-        const std::function<DensifyReport(double other_allocation_bytes)>& densify);
 };
 
 }  // namespace relidar

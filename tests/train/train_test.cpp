@@ -217,25 +217,32 @@ TEST_F(Train, ActorsBeatMasking) {
     EXPECT_LT(3.0 * error["Car"], error[""]);
 }
 
-TEST(Targets, RaysOfMovingBoxesAreUnknown) {
-    const LidarSequence street = make_synthetic_street(make_small_street());
-    std::size_t masked_cars = 0, cars = 0, masked_rest = 0, rest = 0;
-    for (const LidarFrame& frame : street.frames) {
+struct MaskedReturns {
+    double cars = 0, masked_cars = 0, rest = 0, masked_rest = 0;
+
+    void add_frame(const LidarSequence& street, const LidarFrame& frame, const IgnoredMeasurements& unknown,
+                   const std::vector<BoxTrack>& boxes) {
         std::vector<DeviceRay> rays;
         std::vector<DeviceTarget> targets;
-        compute_training_rays_and_targets(street, frame, {}, rays, targets);
+        compute_training_rays_and_targets(street, frame, unknown, rays, targets);
         for (std::size_t i = 0; i < rays.size(); ++i) {
             if (!(targets[i].range_m > 0.0f)) continue;
             const glm::dvec3 p =
                 glm::dvec3(rays[i].origin) + double(targets[i].range_m) * glm::dvec3(rays[i].direction);
-            const bool car = is_in_moving_box(street.boxes, p, frame.time_s, 0.0);
+            const bool car = is_in_moving_box(boxes, p, frame.time_s, 0.0);
             (car ? cars : rest) += 1;
             (car ? masked_cars : masked_rest) += targets[i].weight == 0.0f;
         }
     }
-    ASSERT_GT(cars, 50u);
-    EXPECT_GE(double(masked_cars), 0.99 * double(cars));
-    EXPECT_LE(double(masked_rest), 0.05 * double(rest));
+};
+
+TEST(Targets, RaysOfMovingBoxesAreUnknown) {
+    const LidarSequence street = make_synthetic_street(make_small_street());
+    MaskedReturns n;
+    for (const LidarFrame& frame : street.frames) n.add_frame(street, frame, {}, street.boxes);
+    ASSERT_GT(n.cars, 50);
+    EXPECT_GE(n.masked_cars, 0.99 * n.cars);
+    EXPECT_LE(n.masked_rest, 0.05 * n.rest);
 }
 
 TEST(Targets, RaysOnMovingCarsAreUnknownUnlessTheyAreActors) {
@@ -249,21 +256,10 @@ TEST(Targets, RaysOnMovingCarsAreUnknownUnlessTheyAreActors) {
     const auto masked_share = [&](std::size_t frame, bool are_actors) {
         IgnoredMeasurements unknown;
         if (are_actors) unknown.actors = {street.boxes[0].id, street.boxes[1].id};
-        std::vector<DeviceRay> rays;
-        std::vector<DeviceTarget> targets;
-        compute_training_rays_and_targets(street, street.frames[frame], unknown, rays, targets);
-        double n = 0.0, n_masked = 0.0;
-        for (std::size_t i = 0; i < rays.size(); ++i) {
-            const glm::dvec3 p =
-                glm::dvec3(rays[i].origin) + double(targets[i].range_m) * glm::dvec3(rays[i].direction);
-            if (!(targets[i].range_m > 0.0f) ||
-                !is_in_moving_box(original_boxes, p, street.frames[frame].time_s, 0.0))
-                continue;
-            n += 1.0;
-            n_masked += targets[i].weight == 0.0f;
-        }
-        EXPECT_GT(n, 5.0) << "the cars must be seen";
-        return n_masked / n;
+        MaskedReturns n;
+        n.add_frame(street, street.frames[frame], unknown, original_boxes);
+        EXPECT_GT(n.cars, 5.0) << "the cars must be seen";
+        return n.masked_cars / n.cars;
     };
     EXPECT_EQ(masked_share(n_labels - 1, true), 0.0) << "actors are known";
     EXPECT_GE(masked_share(n_labels - 1, false), 0.95);

@@ -4,7 +4,6 @@
 #include <algorithm>
 #include <cstring>
 
-#include <relidar/base/error.hpp>
 #include <relidar/diff/backward.hpp>
 #include <relidar/diff/optimizer.hpp>
 #include <relidar/train/train.hpp>
@@ -28,11 +27,7 @@ constexpr double kMetresPerRadian = 10.0, kBoxFactor = 10.0;
 constexpr double kPriorPerM2 = 0.01, kPriorPerRad2 = 0.1;
 
 LidarSequence copy_log_without_scans(const LidarSequence& sequence) {
-    LidarSequence result;
-    result.lidars = sequence.lidars;
-    result.world_from_vehicle = sequence.world_from_vehicle;
-    result.boxes = sequence.boxes;
-    result.rolling_shutter = sequence.rolling_shutter;
+    LidarSequence result = copy_without_frames(sequence);
     for (const LidarFrame& frame : sequence.frames) result.frames.push_back(copy_frame_without_scan(frame));
     return result;
 }
@@ -184,24 +179,6 @@ void PoseRefiner::update_corrected_poses() {
     if (sensor_) poses_.world_from_vehicle = sensor_->make_corrected_track();
     for (const RefinedActor& actor : actors_)
         poses_.boxes[actor.box].world_from_box = actor.correction.make_corrected_track();
-}
-
-void PoseRefiner::update_poses_after_restore() {
-    const std::size_t n = pending_iterations_.step.size();
-    const bool sound =
-        (!sensor_ || sensor_->is_restored_correction_valid()) &&
-        std::all_of(actors_.begin(), actors_.end(),
-                    [](const RefinedActor& a) { return a.correction.is_restored_correction_valid(); }) &&
-        n <= kReadbackLag && pending_iterations_.frame.size() == n &&
-        pending_iterations_.actor_time_s.size() == 2 * n * actors_.size() &&
-        pending_iterations_.gradient.size() == n * (floats_of_rays_ + floats_of_instances_) &&
-        std::all_of(pending_iterations_.frame.begin(), pending_iterations_.frame.end(),
-                    [this](std::uint64_t frame) { return frame < frames_.get_all_frames().size(); });
-    if (!sound)
-        throw DataError(
-            "cannot resume: the pose corrections in the checkpoint do not fit this log, expected the log "
-            "that the checkpoint was written with");
-    update_corrected_poses();
 }
 
 }  // namespace relidar

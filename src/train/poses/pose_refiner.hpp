@@ -63,8 +63,7 @@ public:
         visit("poses/coming/gradient", pending_iterations_.gradient);
     }
     /// Called after the state was read from a checkpoint.
-    /// @throws DataError if the state does not fit the log
-    void update_poses_after_restore();
+    void update_corrected_poses();
 
 private:
     struct RefinedActor {
@@ -103,7 +102,6 @@ private:
     /// Waits until the gradients are on the host.
     std::span<float> wait_for_gradient_of_pending_iteration(Stream& stream, std::size_t pending_index);
     void apply_oldest_pose_update(Stream& stream);
-    void update_corrected_poses();
 };
 
 }  // namespace relidar

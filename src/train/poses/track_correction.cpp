@@ -105,10 +105,4 @@ void TrackCorrection::remove_mean_rigid_correction() {
     }
 }
 
-bool TrackCorrection::is_restored_correction_valid() const {
-    const std::size_t n = track_.pose.size();
-    return values_.size() == 6 * n && moment1_.size() == 6 * n && moment2_.size() == 6 * n &&
-           n_steps_.size() == n;
-}
-
 }  // namespace relidar

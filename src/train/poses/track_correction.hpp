@@ -48,7 +48,6 @@ public:
         visit(name + "/moment2", moment2_);
         visit(name + "/steps", n_steps_);
     }
-    bool is_restored_correction_valid() const;
 
 private:
     PoseTrack track_;
