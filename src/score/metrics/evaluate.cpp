@@ -148,8 +148,8 @@ void add_point_metrics(MetricValues& row, const std::string& name_prefix, const 
                        const RangeImage& real, const MetricOptions& options) {
     const PixelMask rendered_returns = make_positive_range_mask(rendered, options.strict_drop_threshold),
                     real_returns = make_positive_range_mask(real, kRealDropThreshold);
-    add_masked_error_metrics(row, name_prefix + "depth_", "_m", rendered.range_m, real.range_m,
-                             intersect_masks(rendered_returns, real_returns), options.max_range_m);
+    add_masked_errors(row, name_prefix + "depth_", "_m", rendered.range_m, real.range_m,
+                      intersect_masks(rendered_returns, real_returns), options.max_range_m);
     const PointPositions a = compute_points_of_masked_pixels(rendered, rendered_returns),
                          b = compute_points_of_masked_pixels(real, real_returns);
     if (a.empty() && b.empty()) return;
@@ -166,8 +166,8 @@ void add_strict_protocol_metrics(MetricValues& row, const RangeImage& rendered, 
                                  const MetricOptions& options) {
     const PixelMask rendered_returns = make_positive_range_mask(rendered, options.strict_drop_threshold);
     const PixelMask real_returns = make_positive_range_mask(real, kRealDropThreshold);
-    add_masked_error_metrics(row, "strict/intensity_", "", rendered.intensity, real.intensity,
-                             intersect_masks(rendered_returns, real_returns), kMaxIntensity);
+    add_masked_errors(row, "strict/intensity_", "", rendered.intensity, real.intensity,
+                      intersect_masks(rendered_returns, real_returns), kMaxIntensity);
     add_ray_drop_metrics(row, rendered_returns, real_returns);
     // without a threshold
     PixelValues drop_error(real.drop_prob.size());

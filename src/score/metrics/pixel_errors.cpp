@@ -109,9 +109,9 @@ double add_error_metrics_and_get_mse(MetricValues& row, const std::string& name_
     return squared;
 }
 
-void add_masked_error_metrics(MetricValues& row, const std::string& name_prefix,
-                              const std::string& unit_suffix, const std::vector<float>& first,
-                              const std::vector<float>& second, const PixelMask& mask, double maximum) {
+void add_masked_errors(MetricValues& row, const std::string& name_prefix, const std::string& unit_suffix,
+                       const std::vector<float>& first, const std::vector<float>& second,
+                       const PixelMask& mask, double maximum) {
     PixelValues a, b;
     for (std::size_t i = 0; i < mask.size(); ++i)
         if (mask[i]) {

@@ -41,8 +41,8 @@ double add_error_metrics_and_get_mse(MetricValues& row, const std::string& name_
                                      const std::string& unit_suffix, const PixelValues& first,
                                      const PixelValues& second);
 /// The same of the pixels in the mask. Clamps the values to [1e-6, maximum].
-void add_masked_error_metrics(MetricValues& row, const std::string& name_prefix,
-                              const std::string& unit_suffix, const std::vector<float>& first,
-                              const std::vector<float>& second, const PixelMask& mask, double maximum);
+void add_masked_errors(MetricValues& row, const std::string& name_prefix, const std::string& unit_suffix,
+                       const std::vector<float>& first, const std::vector<float>& second,
+                       const PixelMask& mask, double maximum);
 
 }  // namespace relidar::metrics_detail

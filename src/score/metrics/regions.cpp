@@ -64,10 +64,10 @@ MetricValues evaluate_regions(const RangeImage& rendered, const RangeImage& real
         const PixelMask returned_both = intersect_masks(mask, rendered_returns);
         row[name + "returned"] =
             double(std::count(returned_both.begin(), returned_both.end(), true)) / double(n);
-        add_masked_error_metrics(row, name + "depth_", "_m", rendered.range_m, real.range_m, mask,
-                                 options.max_range_m);
-        add_masked_error_metrics(row, name + "intensity_", "", rendered.intensity, real.intensity, mask,
-                                 kMaxIntensity);
+        add_masked_errors(row, name + "depth_", "_m", rendered.range_m, real.range_m, mask,
+                          options.max_range_m);
+        add_masked_errors(row, name + "intensity_", "", rendered.intensity, real.intensity, mask,
+                          kMaxIntensity);
     }
     return row;
 }
