@@ -1,8 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Copies the losses and the overflow counters of iterations from the device to the host.
-// The device stores one row of losses for each iteration. A report covers up to 64
-// iterations. The host requests the copy without waiting, and reads the copy a few
-// iterations later (readback_lag.hpp).
+// Copies the losses and the overflow counters of up to 64 iterations to the host, which
+// reads them a few iterations later (readback_lag.hpp).
 #pragma once
 
 #include <array>
@@ -53,8 +51,8 @@ public:
         iterations_.push_back({step, frame_number});
     }
     bool is_loss_table_full() const { return iterations_.size() == kRows; }
-    /// Starts a copy of the losses and counters since the last report and does not wait.
-    /// Call after add_iteration_to_next_report(), at most once per iteration.
+    /// Does not wait. Call after add_iteration_to_next_report(), at most once per
+    /// iteration.
     /// @param log_line  added to the training log when the report is read
     void record_copy_of_report_to_host(Stream& stream, const DeviceHitCounters& counts,
                                        const std::optional<TrainLogLine>& log_line);

@@ -1,8 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Fits the random scatter of measured intensities for each LiDAR of a log. Renders some
-// training frames along their measured rays, and compares rendered with measured
-// intensities. Training frames can be used, because their residuals are about as large as
-// the residuals of held-out frames, which do not train the scene.
+// Fits the random scatter of measured intensities for each LiDAR of a log. The residuals
+// of training frames are about as large as those of held-out frames.
 #include <relidar/run/run.hpp>
 #include <relidar/simulate/render.hpp>
 #include <relidar/train/train.hpp>

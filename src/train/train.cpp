@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Trains a scene from a log: starts or resumes, runs the iterations of train_loop.cpp,
-// prints progress, and saves checkpoints.
+// Starts or resumes training, runs the iterations of train_loop.cpp, and saves
+// checkpoints.
 #include <relidar/train/train.hpp>
 
 #include <algorithm>
@@ -58,8 +58,7 @@ void report_frames_not_kept_on_device(const TrainingFrames& frames, const Config
         frames.count_resident_frames(), frames.get_all_frames().size(), config.train.frame_memory_mib));
 }
 
-/// Turns the refinement of sensor poses off if all training frames belong to one sweep:
-/// nothing would constrain its pose relative to the other sweeps.
+/// The pose of a single sweep is not constrained relative to the other sweeps.
 Config disable_useless_pose_refinement(Config config, const LidarSequence& sequence,
                                        const TrainTestSplit& split, const Scene& initial,
                                        const TrainSession& session) {

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Trains the actors of a scene in blocks (parts of a large scene) a second time, in front
-// of the joined background. Uses only the rays near the boxes of actors and the surfels
-// along these rays, so that many blocks fit into one training. An actor that drives
-// through several blocks then learns from all of them in random order.
+// Trains the actors of a scene in blocks a second time, in front of the joined
+// background. Uses only the rays near the boxes of actors and the surfels along these
+// rays. An actor that drives through several blocks then learns from all of them in
+// random order.
 #include <relidar/train/train.hpp>
 
 #include <algorithm>

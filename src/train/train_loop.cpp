@@ -1,8 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Runs a training iteration: selects a frame, renders its rays, computes losses and
-// gradients, and updates the parameters (docs/method.md sections 4-6). The host submits
-// each iteration to the GPU without waiting for it. The host reads the losses a few
-// iterations later (readback_lag.hpp).
+// Runs a training iteration (docs/method.md sections 4-6). The host submits each
+// iteration to the GPU without waiting, and reads the losses a few iterations later
+// (readback_lag.hpp).
 #include "train/train_loop.hpp"
 
 #include <algorithm>
@@ -60,8 +59,8 @@ LearningRates compute_learning_rates(const TrainConfig& config, double extent_m,
         .intensity_factor = config.intensity_factor};
 }
 
-/// Relative to the rate of the background, proportional to the extent of the model. Steps
-/// suitable for a street would move an actor's surfels out of its box.
+/// Proportional to the extent of the model. Steps suitable for a street would move an
+/// actor's surfels out of its box.
 /// @return [models] factors
 std::vector<float> compute_position_learning_rate_factors(const Scene& scene_layout,
                                                           double background_extent_m) {
@@ -86,9 +85,8 @@ struct TreeRefitSchedule {
 };
 
 /// In one iteration, a surfel moves by millimetres and grows by a few per cent. If most
-/// surfels are fixed, refits are rarer, because they would take most of the time. If
-/// spherical harmonics are evaluated per ray, every iteration refits, because only a
-/// refit updates the surfel records.
+/// surfels are fixed, refits would take most of the time. If spherical harmonics are
+/// evaluated per ray, only a refit updates the surfel records.
 TreeRefitSchedule choose_tree_refit_options(const Config& config, std::uint32_t n_fixed_surfels) {
     if (config.image.sh_direction == ShDirection::ray) return {};
     if (n_fixed_surfels > 0) return {4, {.margin_scale = 1.1f, .margin_m = 0.01f}};
@@ -385,8 +383,7 @@ RayDropTable TrainLoop::estimate_sensor_drop_rates(Device& device, const LidarSe
 void TrainLoop::add_batch_to_drop_counts(RayDropCounts& counts, const LidarSequence& sequence,
                                          const TrainingFrameData& frame, const SampledBatch& batch) {
     // Minimum blending weight of a ray that hits a solid surface. Other rays count only
-    // in sectors where nearly all measured rays drop, because training ignores these
-    // sectors.
+    // in sectors that training ignores.
     constexpr float kSolid = 0.9f;
     const LidarFrame& sweep = sequence.frames[std::size_t(frame.position)];
     const RayDropTable& observed = frames_.get_mask_rules().observed_drops;

@@ -57,9 +57,8 @@ public:
     TrainLoop(const TrainLoop&) = delete;
     TrainLoop& operator=(const TrainLoop&) = delete;
 
-    /// Records and submits the GPU commands of one iteration. Normally waits only for an
-    /// earlier submission. Waits longer for densification, or to increase the memory for
-    /// hits.
+    /// Submits one iteration. Waits only for an earlier submission, for densification, or
+    /// to increase the memory for hits.
     /// @param step  counts from 1
     /// @param is_last_of_log_interval  true if a log line ends with this iteration
     /// @throws DataError naming iteration, frame and term if a loss was not finite in the

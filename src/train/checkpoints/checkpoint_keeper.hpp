@@ -22,8 +22,7 @@ public:
     /// Keeps the two newest checkpoints, because a failure of the machine can damage the
     /// newest.
     /// @param folder  if empty, no checkpoint is written
-    /// @param newest_iteration  of the checkpoints in the folder, or 0 if there is none
-    /// @param iteration_noun  word for messages, for example "iteration" or "step"
+    /// @param newest_iteration  of the checkpoints in the folder, 0 if there is none
     CheckpointFolder(std::filesystem::path folder, int newest_iteration, std::string iteration_noun,
                      const std::function<void(const std::string&)>& report_note);
 

@@ -1,8 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Trains the ray-drop network, which is the last stage of training (paper, section 3.5).
-// Renders training frames once, and trains the network to predict which rays the sensor
-// dropped. The images use the nominal rays of the sensor. Measured rays have jitter only
-// if they have a return, so the jitter would reveal the answer to the network.
+// Trains the ray-drop network (paper, section 3.5) with the nominal rays of the sensor.
+// Measured rays have jitter only if they have a return, which would reveal the answer.
 #include <algorithm>
 #include <map>
 #include <optional>
@@ -35,9 +33,8 @@ SimulatedSensor choose_sensor_for_ray_drop_training(const Config& config, const 
     return sensor;
 }
 
-/// Rotates the rays towards the next column. The scene was trained with the original
-/// rays, so it fits them unusually well. Rotated rays are as accurate as those of
-/// held-out frames.
+/// The scene fits the original rays unusually well. Rays rotated towards the next column
+/// are as accurate as those of held-out frames.
 RayTable rotate_rays_by_column_fraction(RayTable rays, float column_fraction) {
     const RayTable original = rays;
     // Without a full turn, the last column has no next column and is not rotated.
@@ -53,9 +50,8 @@ RayTable rotate_rays_by_column_fraction(RayTable rays, float column_fraction) {
     return rays;
 }
 
-/// Returns the state of each cell of the range image: 0 returned, 1 dropped, -1 unknown.
-/// A cell is unknown if one of its returns belongs to a ray with a negative value in
-/// `ray_drops`.
+/// [cells] 0 returned, 1 dropped, -1 unknown: a return of the cell belongs to a ray with
+/// a negative value in `ray_drops`.
 std::vector<float> convert_ray_drops_to_grid(const Config& config, const LidarFrame& frame,
                                              const std::vector<float>& ray_drops) {
     std::vector<float> cells = make_measured_image(config, frame.scan).drop_prob;
@@ -69,8 +65,7 @@ std::vector<float> convert_ray_drops_to_grid(const Config& config, const LidarFr
     return cells;
 }
 
-/// Training frames that the network can read as images: all frames if refine.image is
-/// "grid", otherwise those with the most common image size.
+/// Those with the most common image size, or all if refine.image is "grid".
 std::vector<int> select_frames_with_range_image(const Config& config, const LidarSequence& sequence,
                                                 const std::vector<int>& train_frame_indices) {
     if (should_train_on_range_image_grid(config)) return train_frame_indices;

@@ -1,8 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Selects stripes of columns of an image, to train a network that processes single
-// pixels. Such a network has about a thousand parameters, so a part of the pixels is
-// enough. A stripe has neighbouring columns, because rays with similar directions are
-// traced faster.
+// pixels. Rays with similar directions are traced faster.
 #pragma once
 
 #include <cstddef>
@@ -12,8 +10,8 @@
 
 namespace relidar {
 
-/// Returns an interval n. If every n-th stripe of the image is used, the used stripes
-/// have about 32,768 pixels in total. If n is below 2, the full image is used.
+/// If every n-th stripe of the image is used, they have about 32,768 pixels in total. If
+/// n is below 2, the full image is used.
 inline int choose_image_stripe_interval(const RayTable& rays) { return int(rays.size()) / 32768; }
 
 /// The image covers a full turn, so its last column is next to its first.
@@ -21,11 +19,10 @@ class ImageStripes {
 public:
     static constexpr int kColumns = 64;  ///< columns in a stripe
 
-    /// Selects the stripes of a frame. Uses the full image if `stripe_interval` is below
-    /// 2 or larger than the number of stripes.
-    /// @param stripe_interval  n selects every n-th stripe
-    /// @param frame_number  number of the frame. Each frame starts one stripe later, so
-    /// that the frames together use all columns
+    /// @param stripe_interval  n selects every n-th stripe; the full image if below 2 or
+    /// larger than the number of stripes
+    /// @param frame_number  each frame starts one stripe later, so that the frames
+    /// together use all columns
     ImageStripes(int stripe_interval, const RayTable& rays, std::size_t frame_number)
         : rows_(std::size_t(rays.rows)), columns_(std::size_t(rays.columns)) {
         const int n = rays.columns / kColumns;

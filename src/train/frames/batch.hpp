@@ -34,28 +34,20 @@ struct SampledBatch {
 };
 
 /// Selects about train.rays_per_iteration rays of a frame, or all rays if this setting is
-/// 0. By default, selects every n-th group of RELIDAR_COLUMN_GROUP neighbouring columns,
-/// starting at a random column. Groups are faster than single columns, because
-/// neighbouring rays visit the same tree nodes. Structural similarity and normal
-/// consistency compare neighbouring pixels (Config::has_loss_between_neighbour_pixels).
-/// With these losses, the batch is one window of neighbouring columns. In a frame without
-/// image order, selects every n-th ray.
+/// 0: every n-th group of RELIDAR_COLUMN_GROUP neighbouring columns, which visit the same
+/// tree nodes; one window of neighbouring columns if a loss compares neighbouring pixels;
+/// in a frame without image order, every n-th ray.
 class BatchSampler {
 public:
-    /// Creates the device arrays for batches.
-    /// @throws UsageError if a loss needs images (structural similarity or normal
-    /// consistency), but the rays are not ordered as images
+    /// @throws UsageError if a loss needs images, but the rays are not ordered as images
     BatchSampler(Device& device, const Config& config, const std::vector<TrainingFrameData>& frames);
     ~BatchSampler();
-    /// Records GPU commands that copy a random batch to the batch arrays. The batch is
-    /// valid until the next call.
+    /// Valid until the next call.
     SampledBatch sample_random_batch(Stream& stream, const TrainingFrameData& frame, Random& random);
-    /// Records GPU commands that copy one batch of a series. The batches of a series
-    /// together contain all rays of a frame. At the end of a full turn, a few columns can
-    /// be missing or repeated. If a batch is a window of neighbouring columns, the series
-    /// has only one batch, which does not contain all rays.
-    /// @param first_column  start of the first batch, from sample_random_first_column()
-    /// @param batch_index  index below count_batches_covering_frame()
+    /// The batches of a series together contain all rays of a frame, except a few columns
+    /// at the end of a full turn. A window of columns has only one batch.
+    /// @param first_column  of the first batch, from sample_random_first_column()
+    /// @param batch_index  below count_batches_covering_frame()
     SampledBatch gather_nth_batch(Stream& stream, const TrainingFrameData& frame, std::uint32_t first_column,
                                   std::uint32_t batch_index);
     std::uint32_t sample_random_first_column(const TrainingFrameData& frame, Random& random) const;

@@ -23,10 +23,8 @@ namespace relidar {
 struct FrameArrays {
     Array<DeviceRay> rays;        ///< [n] rays, computed from the poses at the start of training
     Array<DeviceTarget> targets;  ///< [n] measurements
-    /// [n] Each ray is fired between two vehicle poses. PoseInterpolation::left is the
-    /// index of the earlier pose, counted from TrainingFrameData::first_knot.
-    /// PoseInterpolation::s is the fraction of the time to the next pose. Empty if poses
-    /// are not corrected.
+    /// [n] Pose before the firing time, counted from TrainingFrameData::first_knot, and
+    /// fraction of the time to the next pose. Empty if poses are not corrected.
     Array<shared::PoseInterpolation> track_positions;
 };
 
@@ -67,15 +65,12 @@ struct IgnoredMeasurements {
     /// tracks of the actors that have a model in the scene; training uses the returns on
     /// these actors
     std::vector<std::string> actors;
-    /// Measured drop rate of each beam by azimuth. Training ignores the rays of a beam at
-    /// azimuths at which at least 95 % of them drop. If the table is empty, no ray is
-    /// ignored for this reason.
+    /// Training ignores rays of a beam at azimuths at which at least 95 % of them drop.
     RayDropTable observed_drops;
 };
 
-/// Computes the rays and target values of a frame on the host. Rays that the background
-/// must not learn get weight 0. These are returns from inside a moving box, and dropped
-/// rays that may have hit such a box.
+/// Rays that the background must not learn get weight 0: returns from inside a moving
+/// box, and dropped rays that may have hit such a box.
 void compute_training_rays_and_targets(const LidarSequence& sequence, const LidarFrame& frame,
                                        const IgnoredMeasurements& mask_rules, std::vector<DeviceRay>& rays,
                                        std::vector<DeviceTarget>& targets);

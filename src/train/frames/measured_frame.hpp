@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Provides the rays and the measured drops of training frames. After training, they are
-// compared with rendered frames to estimate properties of the sensor. Private to train.
+// Rays and measured drops of training frames, which are compared with rendered frames to
+// estimate properties of the sensor. Private to train.
 #pragma once
 
 #include <vector>
@@ -21,8 +21,8 @@ SimulatedSensor choose_nominal_sensor_of_frame(const Config& config, const Lidar
 /// Of moving objects without a model in the scene.
 IgnoredMeasurements make_mask_for_movers_without_model(const Config& config, const Scene& scene);
 
-/// Returns for each ray of a frame whether it was dropped: 0 returned, 1 dropped. Returns
-/// -1 if the ray hit, or may have hit, a moving object without a model in the scene.
+/// [rays] 0 returned, 1 dropped, -1 if the ray hit, or may have hit, a moving object
+/// without a model in the scene.
 std::vector<float> classify_measured_drops_per_ray(const LidarSequence& sequence, const LidarFrame& frame,
                                                    const IgnoredMeasurements& mask_rules);
 

@@ -1,8 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Keeps the first frames of the log in device memory. Training uses frames in random
-// order, so any frames can be kept. All other frames share one set of arrays. One set is
-// enough, because the stream uploads a frame only after the iteration of the previous
-// frame.
+// Keeps the first frames of the log in device memory, because training uses frames in
+// random order. All others share one set of arrays: the stream uploads a frame only after
+// the iteration of the previous frame.
 #include "train/frames/training_frames.hpp"
 
 #include <algorithm>

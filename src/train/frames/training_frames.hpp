@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Manages all training frames. Keeps frames in device memory up to a memory budget.
-// Uploads other frames to shared arrays when training uses them, so that device memory
-// does not grow with the log.
+// Keeps training frames in device memory up to a memory budget. Uploads the others when
+// they are used.
 #pragma once
 
 #include <cstdint>

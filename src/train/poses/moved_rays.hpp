@@ -27,20 +27,17 @@ struct PoseGradient {
 class PoseCorrectedRays {
 public:
     PoseCorrectedRays(Device& device, const std::vector<TrainingFrameData>& frames);
-    /// Records GPU commands that compute the rays of a frame from the corrected poses.
     /// The frame must be on the device. Afterwards `frame` refers to the new rays, which
     /// are valid until the next call.
     void move_rays_to_corrected_poses(Stream& stream, const TrackCorrection& sensor_correction,
                                       TrainingFrameData& frame);
-    /// Records GPU commands that convert gradients of rays to gradients of sensor poses.
-    /// A ray contributes to the last pose before its firing time and to the next one.
-    /// Ignores the effect of poses on the viewing direction of the spherical harmonics.
-    /// Call move_rays_to_corrected_poses() for the same frame before.
+    /// A ray contributes to the poses before and after its firing time. Ignores the
+    /// effect of poses on the viewing direction of the spherical harmonics. Call
+    /// move_rays_to_corrected_poses() for the same frame before.
     void record_pose_gradient_sums(Stream& stream, const TrainingFrameData& frame, const SampledBatch& batch,
                                    const Array<float, shared::DeviceRayGradients>& ray_gradients);
-    /// Returns the partial sums of the pose gradients that record_pose_gradient_sums()
-    /// computed: [kRows, maximum number of poses in a frame, 6]. `kRows` workgroups share
-    /// the work for each pose, and each workgroup computes one row.
+    /// [kRows, maximum number of poses in a frame, 6] one row for each of the `kRows`
+    /// workgroups that share the work for a pose
     const Array<float>& get_partial_gradient_sums() const { return rows_; }
     std::vector<PoseGradient> sum_pose_gradients(std::span<const float> partial_sums,
                                                  const TrainingFrameData& frame) const;

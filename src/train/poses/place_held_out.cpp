@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Aligns held-out scans, which do not train the scene, with the trained scene. Estimates
-// the six pose parameters of each scan from its returns. The metrics then measure the
-// quality of the scene without the pose error of the scan.
+// Aligns held-out scans with the trained scene, so that the metrics do not contain the
+// pose error of the scan.
 #include <relidar/train/train.hpp>
 
 #include <algorithm>

@@ -17,13 +17,12 @@ namespace {
 
 // relative to the start of training
 constexpr double kFinalShare = 0.1;
-/// Learning rates are multiples of train.pose_rate_m, the learning rate of the sensor
-/// position in metres. The rotation rate in radians is a tenth of this rate, because most
-/// returns are about 10 m away. The rates of boxes are ten times the rates of the sensor,
-/// because the initial errors of boxes are about ten times as large.
+/// Learning rates are multiples of train.pose_rate_m, that of the sensor position in
+/// metres. The rotation rate in radians is a tenth, because most returns are about 10 m
+/// away. The rates of boxes are ten times as large, like their initial errors.
 constexpr double kMetresPerRadian = 10.0, kBoxFactor = 10.0;
-/// Weights of the squared pose corrections in the loss, per square metre and per square
-/// radian. The weights are small, so that they affect only poses that no ray constrains.
+/// Weights of the squared corrections in the loss, so small that they affect only poses
+/// that no ray constrains.
 constexpr double kPriorPerM2 = 0.01, kPriorPerRad2 = 0.1;
 
 LidarSequence copy_log_without_scans(const LidarSequence& sequence) {

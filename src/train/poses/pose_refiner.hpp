@@ -1,10 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Corrects the poses of the sensor and of the actors' boxes during training
-// (train.refine_poses). The device computes the gradients. The host updates the poses in
-// double precision, which is fast because there are few poses. Each update is applied a
-// fixed number of iterations later, so that the host does not wait (readback_lag.hpp). A
-// checkpoint includes the pending gradients, so that a resumed training gives the same
-// result.
+// (train.refine_poses). The host updates the few poses in double precision, a fixed
+// number of iterations later, so that it does not wait (readback_lag.hpp). A checkpoint
+// includes the pending gradients.
 #pragma once
 
 #include <memory>

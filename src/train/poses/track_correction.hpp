@@ -25,8 +25,8 @@ public:
     explicit TrackCorrection(PoseTrack track);
 
     const PoseTrack& get_uncorrected_track() const { return track_; }
-    /// Returns the correction of a pose. If the pose was not optimised yet, interpolates
-    /// between the nearest optimised poses. Returns zero if no pose was optimised.
+    /// Interpolates between the nearest optimised poses if the pose was not optimised
+    /// yet. Zero if no pose was optimised.
     Twist get_or_interpolate_correction(std::size_t pose_index) const;
     PoseTrack make_corrected_track() const;
 
@@ -35,10 +35,8 @@ public:
     void add_pose_gradient(std::size_t pose_index, double weight, const Twist& gradient);
     /// Changes only poses that got a gradient after the last step.
     void run_adam_step(const PoseStepRates& step_rates);
-    /// Removes the rigid motion that all corrections have in common, so that the scene
-    /// does not drift. The loss does not constrain this motion, because moving the scene
-    /// and all sensors together does not change the images. Afterwards, the mean
-    /// translation and rotation are 0.
+    /// Removes the rigid motion that all corrections have in common, which the loss does
+    /// not constrain. Afterwards, the mean translation and rotation are 0.
     void remove_mean_rigid_correction();
 
     template <class Visitor>
