@@ -1,7 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads settings from text and TOML files, and writes them as TOML. All functions use the
-// table of settings in fields.hpp. The first part of a setting's name is the name of its
-// TOML table.
+// All functions use the table of settings in fields.hpp.
 #include <relidar/run/config.hpp>
 
 #include <algorithm>

@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Converts the value of a setting to text, and text to a value. Numbers are written in
-// the shortest form from which the same value is read again. Error messages list the
-// accepted values of the setting. Private to config.
+// Numbers are written in the shortest form from which the same value is read again.
+// Private to config.
 #pragma once
 
 #include <algorithm>

@@ -1,8 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Table of all settings: key, value, accepted values, description. Keys, `--set`, TOML
-// files and `--help` are generated from this table. To add a setting, add a field in
-// <relidar/run/config.hpp> and a row here. Users cannot set a field without a row; only
-// the presets set it. Loss weights have a separate table. Private to config.
+// Table of all settings, from which keys, `--set`, TOML files and `--help` are generated.
+// Only the presets can set a field of <relidar/run/config.hpp> without a row. Loss
+// weights have a separate table. Private to config.
 #pragma once
 
 #include <limits>

@@ -1,7 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Presets: named sets of default values. The preset `paper` has the values of
-// docs/method.md sections 2, 5 and 6. The comments of the other presets explain how they
-// differ from this preset, and why.
+// The preset `paper` has the values of docs/method.md sections 2, 5 and 6.
 #include <relidar/run/config.hpp>
 
 #include "base/fail.hpp"
@@ -30,11 +28,8 @@ Config make_paper_preset_config() {
     return config;
 }
 
-/// Returns the settings of the program that the authors of the paper released. They
-/// differ from the text of the paper (docs/method.md section 5). The intensity loss
-/// includes SSIM, which needs full images. The Chamfer distance has no gradient in that
-/// program, so it is not used for training. Surfels outside their box are penalised. The
-/// errors of the released program (docs/method.md section 10) are not reproduced.
+/// The program that the authors released differs from the text of the paper
+/// (docs/method.md section 5). Its errors (section 10) are not reproduced.
 Config make_paper_code_preset_config() {
     Config config = make_paper_preset_config();
     config.preset = "released";

@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Checks whether an actor has enough surfels. Finds the time when the actor is nearest to
-// a LiDAR. Compares the number of rays that hit its box at this time with the number of
-// surfels. Also describes the sides of an actor that the log has not observed.
+// Compares the number of rays that hit the box of an actor, when it is nearest to a
+// LiDAR, with its number of surfels.
 #include <relidar/run/edit.hpp>
 
 #include <algorithm>

@@ -1,7 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Edits the objects and tracks of a scene. Copying an object to another scene also copies
-// its surfels, unless that scene already contains them. When the last instance of a model
-// is removed, its surfels are removed too.
 #include <relidar/run/edit.hpp>
 
 #include <algorithm>
@@ -176,7 +173,7 @@ std::optional<std::uint32_t> find_mirror_completed_copy_of_model(const Scene& sc
 }
 
 /// After an edit, unobserved sides of a vehicle can face a sensor. Does nothing if the
-/// surfels are not in memory, or if the observed sides are unknown.
+/// surfels are not in memory.
 /// @param is_shared true if actors that were not moved have the same model; they keep it,
 /// and this actor gets a completed copy
 void fill_unobserved_sides_by_symmetry(SceneWithLog& scene_and_log, ModelInstance& instance, bool is_shared) {

@@ -1,9 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Computes the ground plane below a position from the surfels of the background. The
-// ground is the plane that contains most of the level surfels below a box. Random samples
-// of three surfels define candidate planes. The distances of the other surfels determine
-// the score of a candidate, as in MSAC (Torr and Zisserman 2000). Least squares then
-// refine the best plane.
+// The ground is the plane that contains most of the level surfels of the background below
+// a box: candidates from random samples of three surfels, scored as in MSAC (Torr and
+// Zisserman 2000), then least squares.
 #include <relidar/run/edit.hpp>
 
 #include <algorithm>
@@ -139,7 +137,6 @@ private:
                 points_.emplace_back(surfels.mean[i]);
     }
 
-    /// RANSAC. The score of a plane depends on the distances of all points.
     static GroundPlane find_plane_with_most_points(const std::vector<glm::dvec3>& points) {
         Random random(1);
         GroundPlane best{points.front(), {0.0, 0.0, 1.0}};

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads and writes coverage.safetensors (space that the training scans have observed) and
-// classes.safetensors (classes of the background). Private to run.
+// coverage.safetensors: space that the training scans have observed. classes.safetensors:
+// classes of the background. Private to run.
 #pragma once
 
 #include <filesystem>

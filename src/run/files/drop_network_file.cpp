@@ -1,6 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads and writes a ray-drop network as a safetensors file. The parameters are arrays,
-// and the architecture is text in the metadata.
 #include <nlohmann/json.hpp>
 
 #include <relidar/run/run.hpp>

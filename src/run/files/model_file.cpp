@@ -1,8 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads and writes model.safetensors, which stores the parameters of all surfels of a
-// scene. Each parameter group is one array. JSON in the metadata lists the models, the
-// range of surfels of each model, and the instances. The reader checks all values,
-// because users may have edited the file.
+// Reads and writes model.safetensors. JSON in the metadata lists the models, their
+// surfels, and the instances. The reader checks all values, because users may have edited
+// the file.
 #include <relidar/run/run.hpp>
 
 #include <algorithm>

@@ -1,8 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads and writes run folders. A new folder is written under a temporary name and then
-// renamed. In an existing folder, all files are first written to a temporary subfolder
-// and then moved. config.toml is moved last, because load_run() rejects a folder without
-// this file. Every error message of load_run() names the file.
+// A new folder is written under a temporary name and then renamed. In an existing folder,
+// all files are first written to a temporary subfolder and then moved, config.toml last,
+// because load_run() rejects a folder without this file.
 #include <relidar/run/run.hpp>
 
 #include <cerrno>
@@ -141,9 +140,8 @@ void rename_file(const fs::path& source, const fs::path& target) {
         fail("cannot write '{}': renaming the temporary file failed: {}", target.string(), failed.message());
 }
 
-/// First deletes the old config.toml if it differs or if `remove_old_files` is set.
-/// Otherwise it stays, so that training can be resumed even if the process is killed
-/// during the move.
+/// Keeps the old config.toml unless it differs or `remove_old_files` is set, so that
+/// training can be resumed even if the process is killed during the move.
 void move_staged_files(const fs::path& staging_folder, const fs::path& run_folder,
                        const std::function<void()>& remove_old_files) {
     const std::string config = read_file(staging_folder / kConfigFile);

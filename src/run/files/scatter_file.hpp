@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads and writes intensity_scatter.safetensors, which stores the statistical intensity
-// models of a run's LiDARs. Private to run.
+// Reads and writes intensity_scatter.safetensors. Private to run.
 #pragma once
 
 #include <filesystem>
@@ -10,11 +9,10 @@
 
 namespace relidar::run_detail {
 
-/// Writes the intensity model of each LiDAR. Array names begin with the index of the
-/// LiDAR in LidarSequence::lidars. The decision tree of LiDAR 0 is `0.feature`,
-/// `0.child`, `0.first`, `0.count` [nodes] i4 and `0.at` [nodes] f4. The other arrays are
-/// `0.values` [returns] f4 and `0.step` [1] f8. A LiDAR without a model has no arrays. If
-/// no LiDAR has a model, no file is written.
+/// The decision tree of LiDAR 0 is `0.feature`, `0.child`, `0.first`, `0.count` [nodes]
+/// i4 and `0.at` [nodes] f4. The other arrays are `0.values` [returns] f4 and `0.step`
+/// [1] f8. A LiDAR without a model has no arrays. If no LiDAR has a model, no file is
+/// written.
 void save_intensity_scatter(const std::filesystem::path& path,
                             const std::vector<IntensityScatterModel>& scatter_per_lidar);
 /// @param n_lidars  number of LiDARs of the log

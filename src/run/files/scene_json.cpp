@@ -1,8 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads and writes scene.json, format version 3. Numbers are written in the shortest form
-// from which the same double is read again. A pose has seven numbers: the translation x y
-// z, then the unit quaternion w x y z. A point transforms as p_world = R(q) p + t in the
-// recentred world.
+// Reads and writes scene.json, format version 3. A pose has seven numbers: the
+// translation x y z, then the unit quaternion w x y z. A point transforms as p_world =
+// R(q) p + t in the recentred world.
 #include "run/files/scene_json.hpp"
 
 #include <algorithm>

@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads and writes sweeps.safetensors. The file stores the measured azimuths of the LiDAR
-// head in each sweep of a run's log (LidarFrame::azimuth_shift_rad). Private to run.
+// Reads and writes sweeps.safetensors (LidarFrame::azimuth_shift_rad). Private to run.
 #pragma once
 
 #include <filesystem>

@@ -80,8 +80,7 @@ struct PictureDot {
 };
 
 /// @param panel_half_size_m half width and half height of each panel, metres
-/// @param min_value value at the lower end of the colour map; `max_value` is the upper
-/// end
+/// @param min_value at the lower end of the colour map
 Image draw_dots_in_side_by_side_panels(const std::vector<std::vector<PictureDot>>& dots_of_each_panel,
                                        const glm::dvec2& panel_half_size_m, float min_value, float max_value,
                                        const char* colour_map_name) {

@@ -15,22 +15,18 @@ struct TrainedRun;
 
 namespace relidar::cli {
 
-/// Draws a walking actor in eight successive frames, seen from its right side. Chooses
-/// the actor with the most points in the log.
+/// A walking actor in eight successive frames, seen from its right side.
 /// @param run run whose log is loaded with all scans
 /// @return no value if no walking actor is visible in eight frames
 std::optional<ReportFigure> draw_walking_actor_figure(Device& device, const TrainedRun& run);
 
-/// Draws the three actors with the worst scores in held-out frames, as the sensor sees
-/// them: the real points, the simulated points, and the distance of each simulated point
-/// from the nearest real point. Actors with fewer than 20 real points per frame are left
-/// out.
+/// The three actors with the worst scores, as the sensor sees them in held-out frames.
+/// Actors with fewer than 20 real points per frame are left out.
 /// @param run run whose log is loaded with the scans of the held-out frames
 std::vector<ReportFigure> draw_worst_actor_figures(Device& device, const TrainedRun& run,
                                                    const EvaluationResult& evaluation);
 
-/// Writes the figures of draw_worst_actor_figures() for at most 20 actors as
-/// FOLDER/actor_TRACK.png.
+/// At most 20 actors, as FOLDER/actor_TRACK.png.
 void write_worst_actor_pictures(const std::filesystem::path& folder, Device& device, const TrainedRun& run,
                                 const EvaluationResult& evaluation);
 

@@ -1,7 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// The command `relidar eval` compares the held-out frames of a run with the log. It also
-// scores a baseline, which needs no run, and writes a table of the scores of several
-// runs.
 #include <chrono>
 #include <memory>
 #include <optional>

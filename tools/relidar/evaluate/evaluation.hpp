@@ -1,6 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Formats the scores of an evaluation (<relidar/score/evaluation.hpp>) for the terminal
-// and for files.
 #pragma once
 
 #include <string>
@@ -21,20 +19,16 @@ relidar::ProgressReporter make_interruptible_progress_callback(TerminalProgress&
 std::string format_score_summary(const EvaluationResult& evaluation);
 /// The 20 moving boxes with the worst scores, below the column titles.
 std::vector<std::vector<std::string>> make_worst_actor_table_rows(const EvaluationResult& evaluation);
-/// Mean, minimum and maximum over the frames, errors by region, and the meaning of each
-/// metric.
 /// @param baseline its means are shown too; may be null
 std::string format_metric_tables(const EvaluationResult& evaluation,
                                  const EvaluationResult* baseline = nullptr);
 
-/// Collects the scores of all MPI processes in the first process.
 /// @return in the first process, the scores of all frames, without the images of other
 /// processes; in the other processes, `local_evaluation`
 EvaluationResult gather_evaluation_from_ranks(const EvaluationResult& local_evaluation,
                                               const MpiProcessGroup& ranks);
 
-/// Frame number, LiDAR, time, number of rays, render time, metrics, and scores of each
-/// moving box, for metrics.json and for messages between MPI processes.
+/// for metrics.json and for messages between MPI processes
 nlohmann::ordered_json make_scored_frames_json(const EvaluationResult& evaluation);
 
 /// How the scores were computed, for metrics.json.
@@ -45,7 +39,6 @@ struct EvaluationProvenance {
     double seconds = 0.0;
     const EvaluationResult* baseline = nullptr;
 };
-/// Scores of each frame, means, evaluation protocol, timings, device and memory.
 std::string make_metrics_json(const EvaluationResult& evaluation, const Config& config,
                               const EvaluationProvenance& provenance);
 

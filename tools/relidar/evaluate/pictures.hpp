@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Draws range images for the report. Each picture shows the real image, the rendered
-// image and their difference.
+// Each picture shows the real image, the rendered image and their difference.
 #pragma once
 
 #include <string>
@@ -18,8 +17,6 @@ struct ScoredFrame;
 namespace relidar::cli {
 
 /// Range, intensity (if the log has intensities) and ray-drop.
-/// @param title text before the name of each figure
-/// @param real_caption caption of the real images
 std::vector<ReportFigure> make_comparison_figures(const ScoredFrame& frame, const std::string& title,
                                                   const std::string& real_caption, double max_range_m);
 
@@ -31,9 +28,7 @@ void write_comparison_pictures(const std::filesystem::path& folder, const Scored
 /// real above rendered
 Image draw_stacked_real_and_rendered_range(const ScoredFrame& frame, double max_range_m);
 
-/// Each ray is a dot whose colour shows its firing time. Azimuth increases to the right
-/// as seen from the sensor, elevation upwards. Shows only 40 degrees ahead of a full
-/// turn.
+/// The colour of a dot shows the firing time. Only 40 degrees ahead of a full turn.
 Image draw_rays_as_coloured_dots(const RayTable& rays);
 
 }  // namespace relidar::cli

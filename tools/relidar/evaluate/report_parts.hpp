@@ -21,14 +21,12 @@ ReportView make_3d_view_of_real_and_rendered_points(const ScoredFrame& frame, co
                                                     const std::string& title,
                                                     const std::string& label_of_real_points);
 
-/// Each bar shows the shares of rays with small and large errors, for one interval of the
-/// real range.
+/// shares of rays with small and large errors, by intervals of the real range
 ReportBars make_error_by_range_chart(const EvaluationResult& evaluation, const std::string& title);
 
 std::vector<ReportKeyMetric> get_key_metrics();
 
-/// For example "half of all ranges are within 2.1 cm of the real ones, and 97.3 % of all
-/// rays return or drop as they did". Empty if the metrics are missing.
+/// Empty if the metrics are missing.
 std::string make_sentence_about_mean_quality(const MetricValues& mean_metrics);
 
 }  // namespace relidar::cli

@@ -23,8 +23,7 @@ struct EvaluationLabels {
     std::string column;  ///< Title of the column in the metric table, such as "held out".
     std::string real;    ///< Caption of the real images: "real" or "exact".
 };
-/// Adds metrics, timings, errors by range, moving objects, and the points and pictures of
-/// one frame. The first call also extends the summary of the report.
+/// The first call also extends the summary of the report.
 void add_evaluation_to_report(Report& report, const EvaluationResult& evaluation, const TrainedRun& run,
                               const EvaluationLabels& labels);
 

@@ -6,9 +6,7 @@
 
 namespace relidar::cli {
 
-/// Reads metrics.json of each run. If a run has no scores, throws after the files are
-/// written.
-/// @param run_folders in the order of the rows
+/// If a run has no scores, throws after the files are written.
 /// @param output_files FILE.md receives the means of the key metrics, FILE.csv all
 /// metrics, and FILE.html both as a web page
 /// @throws UsageError if a file has another extension

@@ -1,6 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// The command `relidar refine` trains only the ray-drop network of a run, and scores the
-// run with the network and without it.
 #include <memory>
 #include <optional>
 

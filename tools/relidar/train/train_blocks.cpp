@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Trains the blocks of a long log. A finished block has a file scene.json. An interrupted
-// block has a checkpoint. The training can be resumed with these files alone.
+// A finished block has a file scene.json, an interrupted block has a checkpoint. The
+// training can be resumed with these files alone.
 #include "train/train_blocks.hpp"
 
 #include <algorithm>

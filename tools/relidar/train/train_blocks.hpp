@@ -18,17 +18,14 @@ struct BlockTrainingOptions {
     std::string resume;  ///< Command line that resumes the training. Error messages contain it.
 };
 
-/// Trains all blocks of a log that are not yet trained. Saves each block as a run in
-/// RUN/blocks/NNN. When all blocks are trained, the first MPI process joins their surfels
-/// and poses into one run.
-/// @return results over all blocks: the mean of the training logs, the sum of the times,
-/// and the largest memory peak
+/// Saves each block as a run in RUN/blocks/NNN. When all blocks are trained, the first
+/// MPI process joins them into one run.
+/// @return over all blocks: the mean of the training logs, the sum of the times, and the
+/// largest memory peak
 /// @throws Error with exit code 130 after Ctrl-C
 /// @throws DataError if a block was trained with other settings or frames
 TrainResult train_blocks(Device& device, TrainedRun& run, const BlockTrainingOptions& block_options);
 
-/// Checks that the trained blocks of a run match the current settings. Otherwise they
-/// could not be joined with blocks that are trained now.
 /// @throws DataError that names the first block with other settings
 void require_same_settings_as_all_trained_blocks(const std::filesystem::path& run_folder,
                                                  const Config& config);

@@ -16,19 +16,17 @@ void prepare_log_for_training_with_progress(LidarSequence& sequence, const Train
                                             const ProcessGroup& process_group = {},
                                             StageTimes* stage_times = nullptr);
 
-/// Each progress report is also a JSON line in log.jsonl. A resumed training keeps the
-/// lines before its checkpoint. If log.jsonl cannot be written, prints a note and
-/// continues.
+/// Each progress report is also a JSON line in log.jsonl, after the lines before the
+/// checkpoint.
 /// @param session this function sets its members `stop` and `note`
 TrainResult train_scene_with_progress(Device& device, const LidarSequence& sequence,
                                       const TrainTestSplit& split, const Config& config,
                                       const std::filesystem::path& run_folder, bool quiet,
                                       TrainSession session = {});
 
-/// The steps between the training of a scene and of its ray-drop network. Saves the run.
+/// Saves the run.
 /// @param stage_times receives the times of "place", "scatter" and "save"
-/// @return `stopped` if the user interrupted; the results of these steps are then not
-/// saved
+/// @return `stopped` if the user interrupted; the results are then not saved
 TrainingEndReason align_held_out_scans_and_fit_intensity_noise(Device& device, TrainedRun& run, bool quiet,
                                                                StageTimes& stage_times);
 
@@ -38,8 +36,6 @@ TrainingEndReason align_held_out_scans_and_fit_intensity_noise(Device& device, T
 TrainingEndReason train_drop_network_with_progress(Device& device, TrainedRun& run, bool quiet,
                                                    RayDropTrainingSession session = {});
 
-/// For example "iteration 1200/30000 4.20 it/s eta 1:54:00 loss 0.0123 (depth 0.01
-/// intensity 0.002 drop 0.0003)".
 std::string format_progress_line(const TrainProgress& progress);
 
 /// For example "read 3.1 s, register 10.2 s". Leaves out stages of less than 0.1 s.
