@@ -145,14 +145,6 @@ grep -q 'actors\[0\].asset: found "car-7", .*"car-' loop.out || fail "an unknown
 "$python" -B "$root/tests/tools/ros2_test.py" "$root" "$relidar" "$address" ros2 >ros2.out 2>&1 || fail "ros2_lidar.py: $(cat ros2.out)"
 stop
 
-# Sends the scans as packets.
-bad 2 "realtime .*--udp" serve run --realtime
-for pace in "" realtime; do
-    serve run --udp 127.0.0.1:23691 ${pace:+--$pace}
-    "$python" -B "$root/tests/tools/served_packets.py" "$root" "$address" 23691 "$relidar" . $pace >packets.out 2>&1 || fail "served_packets.py $pace: $(cat packets.out)"
-    stop
-done
-
 # Tests the interface of a different renderer, with a client that implements only its wire
 # format.
 bad 2 "api: found 'alpasim', .*sensorsim" serve run --api alpasim

@@ -150,7 +150,7 @@ ScanServer::ScanServer(const ServerOptions& options) : impl_(std::make_unique<Im
     });
     if (ScanRenderer::choose_max_parallel_scans(*impl_->device) > 1)
         impl_->queue.set_max_requests_per_batch(kBatchSize);
-    impl_->service.emplace(impl_->queue, *impl_->scenes, options.on_scan);
+    impl_->service.emplace(impl_->queue, *impl_->scenes);
     if (options.sensorsim) impl_->sensorsim.emplace(impl_->queue, *impl_->scenes, *options.sensorsim);
     impl_->start_listening(options);
 }

@@ -6,7 +6,6 @@
 
 #include <chrono>
 #include <cstdint>
-#include <functional>
 #include <memory>
 #include <optional>
 #include <string>
@@ -15,12 +14,6 @@
 #include <relidar/gpu/device.hpp>
 #include <relidar/simulate/weather.hpp>
 
-namespace relidar {
-struct RenderedScan;
-struct TrainedRun;
-struct SimulatedSensor;
-}  // namespace relidar
-
 namespace relidar::serve {
 
 /// How a pose (R, t) transforms a point p from child to parent frame.
@@ -28,12 +21,6 @@ enum class PoseTransformOrder {
     rotation_first,     ///< R p + t: the rotation is applied first, as everywhere else in relidar.
     translation_first,  ///< R (p + t): the translation is applied first.
 };
-
-/// Called with each scan of RenderLidar before the response is sent, by several threads.
-/// If it throws a UsageError, the request fails with INVALID_ARGUMENT.
-/// @param sensor_name name of a built-in sensor, otherwise empty
-using RenderedScanCallback = std::function<void(const TrainedRun& run, const SimulatedSensor& sensor,
-                                                const std::string& sensor_name, const RenderedScan& scan)>;
 
 struct ServerOptions {
     /// "RUN" or "NAME=RUN".
@@ -47,7 +34,6 @@ struct ServerOptions {
     std::string listen = "127.0.0.1:50051";  ///< Address to listen on. Port 0 selects a free port.
     /// For all scenes together. 0 means half of the device memory.
     std::uint64_t memory_mib = 0;
-    RenderedScanCallback on_scan = {};  ///< May be empty.
     std::size_t waiting = 64;  ///< Maximum number of waiting requests, not counting the current request.
     /// PEM files. If both names are empty, the server does not use TLS.
     std::string tls_cert, tls_key;

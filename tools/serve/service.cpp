@@ -22,10 +22,9 @@ void write_queue_and_render_time(const QueuedRequest& request, v1::LidarScan& an
 
 }  // namespace
 
-RenderedScan RenderService::render_scan_into_answer(RenderQueue::QueueSlot& queue_slot,
-                                                    const RenderRequest& render_request,
-                                                    const grpc::ServerContext& context,
-                                                    v1::LidarScan& answer) {
+void RenderService::render_scan_into_answer(RenderQueue::QueueSlot& queue_slot,
+                                            const RenderRequest& render_request,
+                                            const grpc::ServerContext& context, v1::LidarScan& answer) {
     ScanImageRequest request(scenes_, context, render_request);
     request.run_request_or_throw_if_cancelled(queue_slot);
     const TrainedRun& run = scenes_.get_runs_without_surfels()[render_request.scene];
@@ -33,7 +32,6 @@ RenderedScan RenderService::render_scan_into_answer(RenderQueue::QueueSlot& queu
     if (render_request.boxes) write_actor_boxes_into_message(request.scan, render_request, run, answer);
     write_actors_with_too_few_surfels(render_request, answer);
     write_queue_and_render_time(request, answer);
-    return std::move(request.scan);
 }
 
 void RenderService::render_points_into_answers(RenderQueue::QueueSlot& queue_slot,
@@ -116,23 +114,17 @@ grpc::Status RenderService::RenderLidar(grpc::ServerContext* context, const v1::
     return call_and_convert_errors_to_status([&] {
         RenderQueue::QueueSlot slot = reserve_slot_or_throw(queue_);
         const RenderRequest render_request = reader_.convert_to_checked_render_request(*request);
-        if (!on_scan_ && !is_range_image_requested(render_request))
+        if (!is_range_image_requested(render_request))
             return render_points_into_answers(slot, {&render_request, 1}, *context, {&answer, 1});
-        const RenderedScan scan = render_scan_into_answer(slot, render_request, *context, *answer);
-        if (on_scan_)
-            on_scan_(scenes_.get_runs_without_surfels()[render_request.scene], *render_request.sensor,
-                     request->sensor().name(), scan);
+        render_scan_into_answer(slot, render_request, *context, *answer);
     });
 }
 
 grpc::Status RenderService::RenderRig(grpc::ServerContext* context, const v1::RenderRigRequest* request,
                                       grpc::ServerWriter<v1::RigScan>* writer) {
     return call_and_convert_errors_to_status([&] {
-        if (on_scan_)
-            refuse(grpc::StatusCode::FAILED_PRECONDITION,
-                   "cannot answer RenderRig, because the server sends packets (--udp); expected RenderLidar "
-                   "calls, because a receiver expects the packets of a single sensor");
-        // One slot, so that the call is not rejected after some scans.
+        // Reserves one slot for all scans of the rig, so that the call is not rejected
+        // after some scans.
         RenderQueue::QueueSlot slot = reserve_slot_or_throw(queue_);
         const std::vector<RenderRequest> render_requests =
             reader_.convert_to_request_per_rig_sensor(*request);

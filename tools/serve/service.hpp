@@ -19,8 +19,7 @@ class RenderService final : public v1::RenderService::Service {
 public:
     /// The queue and the scenes must outlive this object.
     /// @param scenes used only on the render thread
-    RenderService(RenderQueue& queue, SceneSet& scenes, RenderedScanCallback on_scan)
-        : queue_(queue), scenes_(scenes), reader_(scenes), on_scan_(std::move(on_scan)) {}
+    RenderService(RenderQueue& queue, SceneSet& scenes) : queue_(queue), scenes_(scenes), reader_(scenes) {}
 
     grpc::Status ListScenes(grpc::ServerContext* context, const v1::ListScenesRequest* request,
                             v1::ListScenesResponse* answer) override;
@@ -41,10 +40,9 @@ private:
     RenderQueue& queue_;
     SceneSet& scenes_;
     RequestReader reader_;
-    RenderedScanCallback on_scan_;
 
-    RenderedScan render_scan_into_answer(RenderQueue::QueueSlot& queue_slot, const RenderRequest& request,
-                                         const grpc::ServerContext& context, v1::LidarScan& answer);
+    void render_scan_into_answer(RenderQueue::QueueSlot& queue_slot, const RenderRequest& request,
+                                 const grpc::ServerContext& context, v1::LidarScan& answer);
     void render_points_into_answers(RenderQueue::QueueSlot& queue_slot,
                                     std::span<const RenderRequest> requests,
                                     const grpc::ServerContext& context,

@@ -7,7 +7,6 @@
 #include <cstdint>
 #include <filesystem>
 #include <fstream>
-#include <functional>
 #include <memory>
 #include <string>
 #include <vector>
@@ -107,13 +106,11 @@ private:
 /// Writes the scans of a log as a network capture of LiDAR packets. The log must have a
 /// single LiDAR. The calibration is written to a second file with the same name and the
 /// ending .csv or .json.
-/// @param packet_callback  called with the packets in their order; may be empty
 /// @return number of packets
 /// @throws UsageError if the log has several LiDARs, or in the same cases as
 /// PacketEncoder
 /// @throws DataError if a file cannot be written
 std::size_t save_packets(const LidarSequence& sequence, const std::filesystem::path& file,
-                         const ProgressReporter& progress = {},
-                         const std::function<void(const std::vector<SensorPacket>&)>& packet_callback = {});
+                         const ProgressReporter& progress = {});
 
 }  // namespace relidar

@@ -105,8 +105,7 @@ void PcapWriter::close_file() {
 }
 
 std::size_t save_packets(const LidarSequence& sequence, const fs::path& file,
-                         const ProgressReporter& progress,
-                         const std::function<void(const std::vector<SensorPacket>&)>& packet_callback) {
+                         const ProgressReporter& progress) {
     if (sequence.lidars.size() != 1)
         fail<UsageError>(
             "cannot write '{}': the log has {} LiDARs, but a capture can only contain one; select it with "
@@ -123,7 +122,6 @@ std::size_t save_packets(const LidarSequence& sequence, const fs::path& file,
         PcapWriter capture(temporary, encoder.get_udp_port());
         const auto add = [&](const std::vector<SensorPacket>& packets) {
             capture.write_packets(packets);
-            if (packet_callback) packet_callback(packets);
             n_packets += packets.size();
         };
         for (std::size_t f = 0; f < sequence.frames.size(); ++f) {

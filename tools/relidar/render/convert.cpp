@@ -18,7 +18,6 @@
 #include "interrupt.hpp"
 #include "options.hpp"
 #include "output_folder.hpp"
-#include "render/packet_sender.hpp"
 #include "render/render_notes.hpp"
 
 namespace relidar::cli {
@@ -29,7 +28,6 @@ struct ConvertOptions {
     std::string out;
     std::string frames;
     SettingsCommandOptions settings;
-    PacketDestination packets;
     bool overwrite = false;
     bool quiet = false;
 };
@@ -74,41 +72,27 @@ void require_replaceable_capture(const std::filesystem::path& capture, const std
 }
 
 /// Writes a log as a capture file with the network packets that the sensor would send.
-/// Also sends the packets if the user has set an address.
-void write_and_send_log_as_packets(const LidarSequence& sequence, const ConvertOptions& options) {
+void write_log_as_packets(const LidarSequence& sequence, const ConvertOptions& options) {
     const std::filesystem::path out = options.out;
     require_replaceable_capture(out, sequence.source, options.overwrite);
     const OutputFolder folder(out.has_parent_path() ? out.parent_path() : ".");
     TerminalProgress progress(options.quiet);
     const relidar::ProgressReporter shown = make_terminal_progress_callback(progress);
-    std::optional<PacketQueue> queue;
-    if (!options.packets.address.empty()) queue.emplace(options.packets, 1);
-    const std::size_t n = save_packets(
-        sequence, out,
-        [&](std::string_view description, double done) {
-            throw_if_interrupted();
-            shown(description, done);
-        },
-        [&](const std::vector<SensorPacket>& packets) {
-            if (queue) queue->send_or_queue_packets({packets});
-        });
+    const std::size_t n = save_packets(sequence, out, [&](std::string_view description, double done) {
+        throw_if_interrupted();
+        shown(description, done);
+    });
     end_progress_line();
     print_note_on_time_shift(sequence, compute_time_shift_ns(sequence));
     if (!options.quiet)
         print(fmt::format("wrote {}: {} packets of {} scans\n", make_absolute_path(options.out), n,
                           sequence.frames.size()));
-    if (!queue) return;
-    queue->send_queued_packets();
-    if (!options.quiet) print(fmt::format("{} packets sent\n", queue->get_sent_packet_count()));
 }
 
 void run_convert_command(const ConvertOptions& options) {
     require_settings_used_by_command(options.settings.sets, {"dataset.", "sensor.rolling_shutter"},
                                      "convert");
-    require_valid_packet_destination(options.packets);
     const bool writes_packets = std::filesystem::path(options.out).extension() == ".pcap";
-    if (!options.packets.address.empty() && !writes_packets)
-        fail<UsageError>("--udp: found --out {}; expected --out FILE.pcap", options.out);
     Config config = make_config_from_settings(options.settings);
     config.dataset.path = options.dataset;
     if (!options.frames.empty()) {
@@ -118,7 +102,7 @@ void run_convert_command(const ConvertOptions& options) {
     }
     const LidarSequence sequence = load_dataset(config, options.quiet);
     install_interrupt_handlers();
-    if (writes_packets) return write_and_send_log_as_packets(sequence, options);
+    if (writes_packets) return write_log_as_packets(sequence, options);
     TerminalProgress progress(options.quiet);
     const relidar::ProgressReporter shown = make_terminal_progress_callback(progress);
     const bool has_poses = config.dataset.poses != kNoPoses && sequence.has_poses;
@@ -143,7 +127,7 @@ the driver of its manufacturer. The log must have a single LiDAR whose packet fo
 Examples:
   relidar convert data/2011_09_26_drive_0005_sync --out log --frames 0:50
   relidar train log --out run
-  relidar convert recording.mcap --out packets.pcap --udp 127.0.0.1:2368 --realtime)";
+  relidar convert recording.mcap --out packets.pcap)";
 
 }  // namespace
 
@@ -158,9 +142,6 @@ void add_convert_command(CLI::App& app, ParsedCommand& selected_command) {
     command->add_option("--frames", options->frames, "frames to convert, first:end (default: all)")
         ->type_name("A:B");
     add_setting_override_option(*command, options->settings.sets);
-    add_packet_destination_options(
-        *command, options->packets, "with --out FILE.pcap: also send the packets to this address",
-        "write the file first, then send the packets with the timing of the sensor");
     command->add_flag("--force", options->overwrite, "replace an existing folder or file of this name");
     add_quiet_option(*command, options->quiet);
     command->footer(kConvertHelp);

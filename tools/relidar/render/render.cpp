@@ -24,7 +24,6 @@
 #include "output_folder.hpp"
 #include "ranks.hpp"
 #include "render/choose_frames.hpp"
-#include "render/packet_sender.hpp"
 #include "render/recording_names.hpp"
 #include "render/render_help.hpp"
 #include "render/render_notes.hpp"
@@ -44,7 +43,6 @@ struct RenderOptions {
     std::string formats = "npz";
     std::optional<std::string> channels;
     RecordingNames names;
-    PacketDestination packets;
     std::vector<std::string> sets;
     std::vector<std::string> only;
     DeviceCommandOptions device;
@@ -145,8 +143,7 @@ ScanOutputOptions make_scan_output_format(const RenderOptions& options, const Tr
 
 /// Returns true if the command writes recordings or packets, whose times are stamps.
 bool has_stamped_outputs(const RenderOptions& options) {
-    return !options.packets.address.empty() ||
-           std::ranges::any_of(parse_file_formats(options.formats), is_recording_format);
+    return std::ranges::any_of(parse_file_formats(options.formats), is_recording_format);
 }
 
 /// Checks all options that do not depend on the run, before the run is loaded.
@@ -162,8 +159,8 @@ void require_valid_render_options(const RenderOptions& options, bool is_rig, con
                                   is_rig && !options.merge);
     parse_point_frame(options.point_frame);
     parse_weather(options.weather);
-    require_valid_packet_options(options.packets, parse_file_formats(options.formats), options.merge,
-                                 ranks.size());
+    if (options.merge && std::ranges::count(parse_file_formats(options.formats), "pcap") > 0)
+        throw UsageError("--merge: found --format pcap; packets hold the scan of a single sensor");
     if (ranks.is_first_mpi_process()) require_folder_for_scans(options.out, options.overwrite);
     if (options.merge && !is_rig)
         throw UsageError("--merge needs a rig with several sensors, but --sensor names a single sensor");
@@ -242,7 +239,6 @@ ScanOutputOptions make_merged_rig_output_options(const RenderOptions& options, c
 struct RenderOutputs {
     std::vector<ScanFolderWriter> folders;
     std::optional<ScanRecordingsWriter> recordings;
-    std::unique_ptr<PacketSender> sender;
 };
 
 /// Creates the output folders in the first MPI process. The other processes wait and then
@@ -262,8 +258,6 @@ RenderOutputs create_output_folders(const RenderOptions& options, const TrainedR
     if (options.merge)
         sensors = {make_merged_rig_output_options(options, run, rendered_sensors, sensor_offset)};
     else sensors = make_output_format_per_sensor(options, run, rendered_sensors, sensor_offset);
-    if (!options.packets.address.empty())
-        output.sender = std::make_unique<PacketSender>(options.packets, sensors);
     const bool is_rig = !options.merge && !rendered_sensors.front().folder.empty();
     // All folders are checked before files of an earlier rendering are removed.
     for (const MountedSimulatedSensor& sensor : rendered_sensors)
@@ -281,12 +275,8 @@ RenderOutputs create_output_folders(const RenderOptions& options, const TrainedR
 }
 
 /// Writes the list of scans of all MPI processes, and completes the recordings.
-void finish_output_files(RenderOutputs& output, const MpiProcessGroup& ranks, bool quiet) {
+void finish_output_files(RenderOutputs& output, const MpiProcessGroup& ranks) {
     if (output.recordings) output.recordings->finish_recording_files();
-    if (output.sender) {
-        const std::string sent = output.sender->send_remaining_packets_and_describe_result();
-        if (!quiet) print(sent);
-    }
     for (ScanFolderWriter& folder : output.folders) {
         std::vector<std::string> entries;
         for (const std::string& of_one : ranks.gather_texts_on_first_rank(
@@ -335,7 +325,6 @@ public:
                 n_unseen_ += *scan.unseen_share * double(scan.image.range_m.size());
             }
         }
-        if (output.sender) output.sender->send_or_queue_scans(scans);
         if (options_.merge) scans = {merge_scans(scans, mountings_)};
         for (std::size_t s = 0; s < scans.size(); ++s) output.folders[s].write_scan(sweep.number, scans[s]);
         if (output.recordings) output.recordings->write_scans(scans);
@@ -423,7 +412,7 @@ void run_render_command(const RenderOptions& command_options) {
             share.end - share.begin);
     }
     end_progress_line();
-    finish_output_files(output, ranks, options.quiet);
+    finish_output_files(output, ranks);
     if (!options.quiet)
         print(sweep_renderer.format_render_summary(share.end - share.begin, sweeps.size(), ranks.size()));
 }
@@ -467,10 +456,6 @@ void add_output_file_options(CLI::App& command, RenderOptions& options) {
                      "transform all points of a scan to the sensor frame at the time of the scan (in mcap "
                      "and rosbag: of its stamp), as in a motion-compensated log");
     add_topic_and_frame_id_options(command, options.names);
-    add_packet_destination_options(command, options.packets,
-                                   "also send the scans as packets of the sensor to this address; each "
-                                   "further sensor of a rig uses the next port",
-                                   "render first, then send the packets with the timing of the sensor");
     command.add_flag("--merge", options.merge,
                      "merge the scans of a rig's sensors into one scan in the frame of the rig (default: a "
                      "folder for each sensor)");

@@ -3,7 +3,6 @@
 // Ctrl-C ends the command.
 #include <chrono>
 #include <memory>
-#include <mutex>
 #include <optional>
 #include <thread>
 
@@ -15,11 +14,6 @@
 #include <fmt/ranges.h>
 #include <CLI/CLI.hpp>
 
-#include <relidar/log/packets.hpp>
-#include <relidar/run/run.hpp>
-#include <relidar/simulate/render.hpp>
-#include <relidar/simulate/scan_files.hpp>
-
 #include "../../network/descriptors.hpp"
 #include "../../network/host_port.hpp"
 #include "../../network/loopback.hpp"
@@ -29,7 +23,6 @@
 #include "console.hpp"
 #include "interrupt.hpp"
 #include "options.hpp"
-#include "render/packet_sender.hpp"
 #include "render/render_notes.hpp"
 #include "render/target_sensors.hpp"
 
@@ -41,7 +34,6 @@ struct ServeCommandOptions {
     std::string api, pose_order, weather;
     int queue = 64;
     int memory_mib = 0;
-    PacketDestination packets;
     DeviceCommandOptions device;
     bool quiet = false;
 };
@@ -82,70 +74,10 @@ serve::ServerOptions make_server_options(const ServeCommandOptions& options) {
     server.memory_mib = std::uint64_t(options.memory_mib);
     server.sensorsim = parse_sensorsim_pose_order(options);
     (void)parse_host_port(server.listen, "--listen", 0);
-    require_valid_packet_destination(options.packets);
     server.weather = parse_weather(options.weather);
     server.device = convert_to_device_options(options.device);
     return server;
 }
-
-/// Sends the scans of clients as network packets of a sensor. If the sensor changes or
-/// the time does not increase, first sends the pending packets and then starts a new
-/// stream.
-class PacketScanSender {
-public:
-    explicit PacketScanSender(PacketDestination target) : target_(std::move(target)) {
-        target_.is_interruptible = false;  // the server answers the pending calls
-    }
-
-    void send_or_queue_packets_of_scan(const TrainedRun& run, const SimulatedSensor& sensor,
-                                       const std::string& sensor_name, const RenderedScan& scan) {
-        if (sensor_name.empty() && !sensor.is_log_lidar)
-            fail<UsageError>(
-                "cannot write packets of a sensor that is given by sensor.spec or sensor.handle; expected "
-                "sensor.name to be one of {}",
-                format_packet_sensor_names());
-        const std::lock_guard lock(mutex_);
-        const std::string key =
-            fmt::format("{} {} {} {}", run.folder.string(), sensor.lidar, sensor.returns, sensor_name);
-        if (key != key_ || scan.time_s <= last_s_) finish_stream();
-        if (!sender_) {
-            ScanOutputOptions format = make_default_output_options(run, sensor);
-            format.time_shift_ns = compute_time_shift_ns(run, sensor, scan.time_s);
-            if (!sensor_name.empty())
-                if (const auto spinning = find_spinning_sensor(sensor_name, sensor))
-                    format.packets.sensor = spinning;
-            sender_.emplace(target_, std::vector{format});
-            key_ = key;
-        }
-        last_s_ = scan.time_s;
-        try {
-            sender_->send_or_queue_scans({&scan, 1});
-            sender_->send_queued_packets();
-        } catch (...) {
-            sender_.reset();  // because it may contain a part of the scan
-            throw;
-        }
-    }
-
-    /// Sends the packets that wait for the next scan.
-    void send_remaining_packets_and_reset() {
-        const std::lock_guard lock(mutex_);
-        finish_stream();
-    }
-
-private:
-    /// Requires that the caller holds `mutex_`.
-    void finish_stream() {
-        if (sender_) (void)sender_->send_remaining_packets_and_describe_result();
-        sender_.reset();
-    }
-
-    PacketDestination target_;
-    std::mutex mutex_;
-    std::optional<PacketSender> sender_;
-    std::string key_;  ///< run and sensor of the packets
-    double last_s_ = 0.0;
-};
 
 /// Makes all threads share one heap. By default, glibc gives each thread its own heap,
 /// and gRPC often starts and ends threads. One thread allocates a scan and another thread
@@ -160,13 +92,7 @@ void limit_malloc_to_one_arena() {
 void run_serve_command(const ServeCommandOptions& options) {
     limit_malloc_to_one_arena();
     raise_open_file_limit_to_maximum();
-    serve::ServerOptions server_settings = make_server_options(options);
-    PacketScanSender sender(options.packets);
-    if (!options.packets.address.empty())
-        server_settings.on_scan = [&sender](const TrainedRun& run, const SimulatedSensor& sensor,
-                                            const std::string& name, const RenderedScan& scan) {
-            sender.send_or_queue_packets_of_scan(run, sensor, name, scan);
-        };
+    const serve::ServerOptions server_settings = make_server_options(options);
     if (!options.quiet) print_sensor_properties_assumed_for_weather(server_settings.weather);
     const std::string host = server_settings.listen.substr(0, server_settings.listen.rfind(':'));
     if (!is_loopback_host(host))
@@ -194,7 +120,6 @@ void run_serve_command(const ServeCommandOptions& options) {
     if (!options.quiet)
         print_note("interrupted: finishing the pending calls; a second Ctrl-C ends immediately");
     server.stop_and_wait(kPatience);
-    sender.send_remaining_packets_and_reset();
 }
 
 constexpr const char* kServeHelp =
@@ -250,10 +175,6 @@ void add_serve_command(CLI::App& app, ParsedCommand& selected_command) {
             "--queue", options->queue,
             "maximum number of waiting calls; further calls fail with RESOURCE_EXHAUSTED (default: 64)")
         ->type_name("N");
-    add_packet_destination_options(
-        *command, options->packets,
-        "also send the scans of RenderLidar as packets of the sensor to this address",
-        "send the packets with the timing of the sensor, then answer the call");
     command
         ->add_option("--tls-cert", options->server.tls_cert,
                      "certificate chain in PEM; turns on encryption, together with --tls-key")
