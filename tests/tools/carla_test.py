@@ -13,24 +13,15 @@ import pathlib
 import subprocess
 import sys
 
-import grpc
 import numpy as np
 
 root, address, work = pathlib.Path(sys.argv[1]), sys.argv[2], pathlib.Path(sys.argv[3])
 sys.path[:0] = [str(root / "tests/tools/carla_stub"), str(root / "tools/examples")]
 import carla   # noqa: E402  the stub
-from closed_loop_client import v1, v1_grpc   # generates the stubs of the service
+from checks import check, finish, render_service   # noqa: E402
 
 MAP = (2.0, -0.5, 0.0, -4.0)   # pose of CARLA's origin in the dataset's world: right-handed, yaw to the left
 MOUNT = (0.8, 0.2, 1.73, 6.0)   # pose of the sensor on the ego vehicle, also right-handed
-failures = []
-
-
-def check(what, condition):
-    if not condition:
-        failures.append(what)
-
-
 text = lambda values: ",".join(map(str, values))
 run = subprocess.run([sys.executable, "-B", root / "tools/examples/carla_lidar.py", address, "--out", work, "--scans", "5",
                       "--sensor", "Pandar128", f"--mount={text(MOUNT)}", f"--dataset-from-carla={text(MAP)}"],
@@ -76,7 +67,7 @@ for frame, points in clouds.items():
 
 # The first sweep has no cars. The expected right-handed angle is positive to the left:
 # the angle of the map, minus CARLA's angle, plus the mounting angle.
-service = v1_grpc.RenderServiceStub(grpc.insecure_channel(address, options=[("grpc.max_receive_message_length", -1)]))
+v1, service = render_service(address)
 scene = service.ListScenes(v1.ListScenesRequest()).scenes[0]
 request = v1.RenderLidarRequest(sensor=v1.Sensor(name="Pandar128"))
 request.actors.SetInParent()
@@ -94,5 +85,4 @@ if len(clouds[2]) == len(expected):
     check(f"first scan: points are {abs(clouds[2][:, :3] - expected).max()} m off", np.allclose(clouds[2][:, :3], expected, atol=2e-3))
 check("actors are left in the scene", not service.ListScenes(v1.ListScenesRequest()).scenes[0].spawned)
 
-print("\n".join(failures))
-sys.exit(1 if failures else 0)
+finish()

@@ -28,6 +28,21 @@ bad() {
     check "relidar $*: the message lacks '$pattern'" grep -Eq -- "^relidar(-dev)?: .*$pattern" err
 }
 
+# ends CODE WHAT: waits for process $pid, which must end with this code.
+ends() {
+    wait "$pid"
+    local code=$?
+    check "$2: exit code $code, expected $1" test "$code" = "$1"
+}
+
+# Skips the test without a Vulkan device, or fails if RELIDAR_REQUIRE_GPU=1.
+need_device() {
+    ! "$relidar" list devices >/dev/null 2>&1 || return 0
+    echo "no Vulkan device"
+    [[ ${RELIDAR_REQUIRE_GPU:-0} == 1 ]] && exit 1
+    exit 77
+}
+
 # Ends the test. Exits with 77 if $skipped is set.
 finish_checks() {
     printf '%d checks, %d failed%s\n' "$n_checks" "$n_failed" "${skipped:+; no Vulkan device: the rest was skipped}"

@@ -14,32 +14,19 @@ import json
 import pathlib
 import sys
 
-import grpc
 import numpy as np
 
 root, address, way, time_s, npz, sensor = sys.argv[1:7]
 sys.path.insert(0, f"{root}/tools/examples")
-from closed_loop_client import v1, v1_grpc   # generates the stubs
+from checks import check, finish, render_service   # noqa: E402
 
-failures = []
-
-
-def check(what, condition):
-    if not condition:
-        failures.append(what)
-
-
+v1, service = render_service(address, *sys.argv[7:])
 poses = [[float(x) for x in row] for row in list(csv.reader(open(way)))[1:]]
 path = [v1.TimedPose(time_s=t, pose=v1.Pose(translation=v1.Vector(x=x, y=y, z=z))) for t, x, y, z, _ in poses]
 request = v1.RenderLidarRequest(path=path, time_s=float(time_s), points_at_s=float(time_s),
                                 wanted=v1.Wanted(points=True, range_image=True, drop_probability=True, boxes=True))
 if sensor:
     request.sensor.name = sensor
-if len(sys.argv) > 7:
-    channel = grpc.secure_channel(address, grpc.ssl_channel_credentials(open(sys.argv[7], "rb").read()))
-else:
-    channel = grpc.insecure_channel(address)
-service = v1_grpc.RenderServiceStub(channel)
 scan = service.RenderLidar(request, timeout=60)
 request.wanted.CopyFrom(v1.Wanted(points=True))
 alone = service.RenderLidar(request, timeout=60)   # without an image, the points are computed on the device
@@ -71,5 +58,4 @@ for served, expected in zip(scan.boxes, boxes):
     check(f"{what}: another time or pose", np.allclose([served.time_s, pose.x, pose.y, pose.z],
                                                        [expected["time_s"], *(row[3] for row in expected["world_from_box"][:3])], atol=1e-6))
 
-print("\n".join(failures))
-sys.exit(1 if failures else 0)
+finish()

@@ -7,11 +7,7 @@ codes of relidar. Prints the shell script of its container.
 import sys
 
 import yaml
-
-
-def expect(condition, text):
-    if not condition:
-        sys.exit(f"FAILED: {text}")
+from checks import expect
 
 
 documents = {d["kind"]: d for d in yaml.safe_load_all(open(sys.argv[1])) if d}

@@ -19,13 +19,10 @@ except ImportError as error:
     print(f"skipped: {error}")
     sys.exit(77)
 
+from checks import expect   # noqa: E402
+
 SOURCE, RELIDAR, WORK = pathlib.Path(sys.argv[1]), sys.argv[2], pathlib.Path(sys.argv[3])
 N_FRAMES, COLUMNS, START = 4, 360, 1557546260.0
-
-
-def expect(condition, text):
-    if not condition:
-        sys.exit(f"FAILED: {text}")
 
 
 def pose(t):

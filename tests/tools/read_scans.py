@@ -14,17 +14,10 @@ import json
 import sys
 
 import numpy as np
+from checks import check, finish
 
 NORMAL_FIELDS = {"ply": ("nx", "ny", "nz"), "pcd": ("normal_x", "normal_y", "normal_z")}
 PLY_TYPES = {"float": "<f4", "uint16": "<u2", "int": "<i4"}
-failures = []
-
-
-def check(what, condition):
-    if not condition:
-        failures.append(what)
-
-
 def read_ply(path):
     data = open(path, "rb").read()
     header, body = data.split(b"end_header\n", 1)
@@ -126,5 +119,4 @@ for scan in summary["scans"]:
     if len(sys.argv) > 3:
         check_frames(*sys.argv[1:4], scan)
 check("scans.json names no scan", len(summary["scans"]) > 0)
-print("\n".join(failures))
-sys.exit(1 if failures else 0)
+finish()

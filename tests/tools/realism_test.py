@@ -18,14 +18,11 @@ except ImportError as error:
     print(f"skipped: {error}")
     sys.exit(77)
 
+from checks import expect   # noqa: E402
+
 SOURCE, WORK = pathlib.Path(sys.argv[1]), pathlib.Path(sys.argv[2])
 ROWS, COLUMNS, RENDERED, ALL = 8, 40, range(2, 6), range(8)
 random = np.random.default_rng(1)
-
-
-def expect(condition, text):
-    if not condition:
-        sys.exit(f"FAILED: {text}")
 
 
 def image(shift=0.0, columns=COLUMNS):

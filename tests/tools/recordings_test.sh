@@ -20,20 +20,15 @@ readers=${RELIDAR_READERS:-${3:-}}
 command -v node >/dev/null || { echo "no node"; exit 77; }
 [[ -d $readers/node_modules ]] || { echo "no packages in $readers"; exit 77; }
 readers=$(realpath "$readers")
-if ! "$relidar" list devices >/dev/null 2>&1; then
-    echo "no Vulkan device"
-    [[ ${RELIDAR_REQUIRE_GPU:-0} == 1 ]] && exit 1
-    exit 77
-fi
 rm -rf "$work" && mkdir -p "$work/street" && cd "$work" || exit 1
-failures=0
-fail() { printf 'FAILED: %s\n' "$*"; failures=$((failures + 1)); }
+source "$tests/checks.sh"
+need_device
 
-# check NAME "SUBFOLDER=TOPIC=FRAME ..." FLAGS... -- ONLY_FLAGS...: renders NAME in each
+# compare NAME "SUBFOLDER=TOPIC=FRAME ..." FLAGS... -- ONLY_FLAGS...: renders NAME in each
 # of $frames (the sensor frame, deskewed, the world) with FLAGS. Renderings with
 # recordings also use ONLY_FLAGS. Then reads the recordings.
 frames=("sensor" "deskewed --deskew" "world --frame world")
-check() {
+compare() {
     local name=$1 sensors=$2 flags=() recording=() frame code
     shift 2
     while (($#)) && [[ $1 != -- ]]; do flags+=("$1"); shift; done
@@ -71,29 +66,29 @@ printf '%s\n' '{"sensors": [{"name": "front", "sensor": "VLP-16:300x10", "transl
 alone=".=/lidar/points=lidar"
 rig="front=/lidar/front/points=front 2nd-rear=/lidar/_2nd_rear/points=2nd-rear"
 
-check own "$alone" --frames 0:4 --channels normal,spread   # frame 0 starts before second 0
-check beside "$alone" --frames 2:5 --offset -1,2.5,1,90 --sensor VLP-16:300x10
-check lane "$alone" --trajectory lane.csv --times 0.2:0.5:0.1 --sensor VLP-16:450x10
-check named ".=/sensing/front/pointcloud=front_lidar" --trajectory lane.csv --times 0.2:0.3:0.1 --sensor VLP-16:300x10 \
+compare own "$alone" --frames 0:4 --channels normal,spread   # frame 0 starts before second 0
+compare beside "$alone" --frames 2:5 --offset -1,2.5,1,90 --sensor VLP-16:300x10
+compare lane "$alone" --trajectory lane.csv --times 0.2:0.5:0.1 --sensor VLP-16:450x10
+compare named ".=/sensing/front/pointcloud=front_lidar" --trajectory lane.csv --times 0.2:0.3:0.1 --sensor VLP-16:300x10 \
     -- --topic /sensing/front/pointcloud --frame-id front_lidar
-check overlapping "$alone" --trajectory lane.csv --times 0.2:0.3:0.02 --sensor VLP-16:300x10
-check at_once "$alone" --trajectory lane.csv --times 0.2:0.4:0.1 --sensor VLP-16:300x10 --set sensor.rolling_shutter=false
-check rig "$rig" --trajectory lane.csv --times 0.2:0.5:0.1 --sensor rig.json --channels spread,normal
-check bend "$rig" --trajectory bend.csv --times 0.2:1:0.1 --sensor rig.json --offset 0,1,0,10
-check rig_of_log "$rig" --frames 3:6 --sensor rig.json
-check merged "$alone" --trajectory bend.csv --times 0.2:0.4:0.1 --sensor rig.json --merge --channels normal
+compare overlapping "$alone" --trajectory lane.csv --times 0.2:0.3:0.02 --sensor VLP-16:300x10
+compare at_once "$alone" --trajectory lane.csv --times 0.2:0.4:0.1 --sensor VLP-16:300x10 --set sensor.rolling_shutter=false
+compare rig "$rig" --trajectory lane.csv --times 0.2:0.5:0.1 --sensor rig.json --channels spread,normal
+compare bend "$rig" --trajectory bend.csv --times 0.2:1:0.1 --sensor rig.json --offset 0,1,0,10
+compare rig_of_log "$rig" --frames 3:6 --sensor rig.json
+compare merged "$alone" --trajectory bend.csv --times 0.2:0.4:0.1 --sensor rig.json --merge --channels normal
 
 # Tests a log of several LiDARs. The LiDARs are mounted in base_link, and each topic
 # contains the name of its LiDAR.
 mkdir two && printf 'seed = 5\nn_frames = 6\nrig = "../rig.json"\n' >two/street.toml
 train two run_of_two
 run=run_of_two
-check first .=/lidar/front/points=front --frames 1:4
+compare first .=/lidar/front/points=front --frames 1:4
 # The deskewed and world frames are tested above with the same kinds of sensors and names.
 frames=("sensor")
-check second .=/lidar/_2nd_rear/points=2nd-rear --frames 1:4 --lidar 2nd-rear --sensor VLP-16:300x10
+compare second .=/lidar/_2nd_rear/points=2nd-rear --frames 1:4 --lidar 2nd-rear --sensor VLP-16:300x10
 run=run
-check rig_named "front=/sensing/front/points=front_link 2nd-rear=/sensing/_2nd_rear/points=2nd-rear_link" --frames 3:5 --sensor rig.json \
+compare rig_named "front=/sensing/front/points=front_link 2nd-rear=/sensing/_2nd_rear/points=2nd-rear_link" --frames 3:5 --sensor rig.json \
     -- --topic "/sensing/{name}/points" --frame-id "{name}_link"
 
 # A rig has a single recording for all its sensors, and a new rendering must replace the
@@ -109,5 +104,4 @@ cp -r own/sensor damaged
 size=$(stat -c %s damaged/scans.mcap)
 printf '\x5a' | dd of=damaged/scans.mcap bs=1 seek=$((size / 2)) conv=notrunc status=none
 ! node "$tests/read_recordings.cjs" "$readers" run damaged own/truth $alone >/dev/null 2>&1 || fail "damage is not noticed"
-((failures == 0)) || exit 1
-echo "recordings: read by @mcap/core, protobufjs and @foxglove/rosmsg2-serialization"
+finish_checks

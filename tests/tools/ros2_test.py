@@ -15,20 +15,15 @@ import subprocess
 import sys
 import types
 
-import grpc
 import numpy as np
 
 root, relidar, address, work = pathlib.Path(sys.argv[1]), sys.argv[2], sys.argv[3], pathlib.Path(sys.argv[4])
 sys.path[:0] = [str(root / "tests/tools"), str(root / "tools/examples")]
 import bag_writer   # noqa: E402
+from checks import check, finish, render_service   # noqa: E402
 
-failures, published, declared = [], [], []
+published, declared = [], []
 START_NS = 1_700_000_000_250_000_000
-
-
-def check(what, condition):
-    if not condition:
-        failures.append(what)
 
 
 def message_type(**constants):
@@ -71,7 +66,6 @@ module("rclpy.utilities", remove_ros_args=lambda arguments: arguments)
 module("rclpy", init=lambda args: None, ok=lambda: True, shutdown=lambda: None, create_node=lambda name: Node())
 
 import ros2_lidar   # noqa: E402
-from closed_loop_client import v1, v1_grpc   # noqa: E402
 
 ros2_lidar.main([address, "--sensor", "VLP-16", "--topic", "/front/points", "--frame", "front"])
 
@@ -129,7 +123,7 @@ for topic, _, message in published:
 work.mkdir(parents=True, exist_ok=True)
 bag_writer.write_mcap(work / "published.mcap", messages)
 
-service = v1_grpc.RenderServiceStub(grpc.insecure_channel(address, options=[("grpc.max_receive_message_length", -1)]))
+v1, service = render_service(address)
 way = service.GetTracks(v1.GetTracksRequest()).dataset_from_sensor
 clouds = [value for topic, _, _, value in messages if topic == "/front/points"]
 log_ns = round(way[0].time_s * 1e9)
@@ -172,5 +166,4 @@ for k, (cloud, frame, entry) in enumerate(zip(clouds, frames, read)):
     check(f"transform {k}: {t}, expected {at}", np.allclose([t[axis] for axis in "xyz"], [at.x, at.y, at.z], atol=1e-9))
     check(f"pose {k}: {poses[k]}, expected {at}", np.allclose(poses[k][1:4], [at.x, at.y, at.z], atol=1e-5))
 
-print("\n".join(failures))
-sys.exit(1 if failures else 0)
+finish()

@@ -9,7 +9,7 @@ and checks the scans that it receives:
   - against the log's boxes: an actor in the request must have points at its poses, and an actor that is not in the
     request must have no points.
 
-  sensorsim_client.py SOURCE_ROOT HOST:PORT SCENE [PICTURE.png]
+  sensorsim_client.py SOURCE_ROOT HOST:PORT SCENE
 
 Prints errors and exits with code 1 if a check fails.
 """
@@ -20,15 +20,10 @@ import grpc
 import numpy as np
 
 root, address, scene = sys.argv[1:4]
+sys.path.insert(0, f"{root}/tools/examples")
+from checks import check, finish, render_service   # noqa: E402
+
 channel = grpc.insecure_channel(address, options=[("grpc.max_receive_message_length", -1)])
-failures = []
-
-
-def check(what, condition):
-    if not condition:
-        failures.append(what)
-
-
 # Wire format. A message is a list of (field number, value). A value is bytes, str, float
 # (fixed32), Fixed64, int (varint) or a message.
 
@@ -143,9 +138,7 @@ check("times rise", all(a[0] < b[0] for a, b in zip(log, log[1:])))
 # Renders a frame of the log with a faster and turning sensor, and with its traffic.
 # relidar's own service provides the expected positions.
 
-sys.path.insert(0, f"{root}/tools/examples")
-from closed_loop_client import v1, v1_grpc   # generates the stubs
-own = v1_grpc.RenderServiceStub(channel)
+v1, own = render_service(address)
 middle = len(log) // 2
 time_us, (q0, t0) = log[middle]
 tracks = own.GetTracks(v1.GetTracksRequest(scene=scene))
@@ -252,17 +245,4 @@ check(f"an unknown object: {code} {line}", code == grpc.StatusCode.NOT_FOUND and
 code, line = status("render_lidar", request(0, {}, scene_id="elsewhere"))
 check(f"an unknown scene: {code} {line}", code == grpc.StatusCode.NOT_FOUND and '"elsewhere"' in line)
 
-if len(sys.argv) > 4:
-    import matplotlib
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
-    figure, axes = pyplot.subplots(1, len(clouds), figsize=(6 * len(clouds), 6))
-    for axis, (what, cloud) in zip(axes, clouds.items()):
-        axis.scatter(cloud[:, 0], cloud[:, 1], s=0.05, c=cloud[:, 2], cmap="viridis", vmin=-2, vmax=4)
-        axis.plot([t0[0], t1[0]], [t0[1], t1[1]], "r-", linewidth=2)
-        for centre in (there[1], elsewhere[1]):
-            axis.plot(centre[0], centre[1], "kx")
-        axis.set(title=what, aspect="equal", xlim=(t1[0] - 40, t1[0] + 40), ylim=(t1[1] - 40, t1[1] + 40))
-    figure.savefig(sys.argv[4], dpi=80)
-print("\n".join(failures))
-sys.exit(1 if failures else 0)
+finish()

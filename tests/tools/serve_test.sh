@@ -17,16 +17,11 @@ root=$(realpath "$(dirname "${BASH_SOURCE[0]}")/../..")
 work=${3:?usage: serve_test.sh RELIDAR RELIDAR_DEV WORK_FOLDER} layers=${4:-}
 [[ -z $layers ]] || layers=$(realpath "$layers")
 rm -rf "$work" && mkdir -p "$work" && cd "$work" || exit 1
-n_failed=0 server=""
-
-fail() { n_failed=$((n_failed + 1)); printf 'FAILED: %s\n' "$*"; }
+server=""
+source "$root/tests/tools/checks.sh"
 trap '[[ -z $server ]] || kill -KILL "$server" 2>/dev/null' EXIT
 
-if ! "$relidar" list devices >/dev/null 2>&1; then
-    echo "no Vulkan device"
-    [[ ${RELIDAR_REQUIRE_GPU:-0} == 1 ]] && exit 1
-    exit 77
-fi
+need_device
 python=""
 for candidate in python3 /usr/bin/python3; do
     if "$candidate" -c 'import grpc, google.protobuf, numpy' 2>/dev/null; then python=$candidate; break; fi
@@ -52,22 +47,8 @@ serve() {
 # stop: sends Ctrl-C; the server must end with 0.
 stop() {
     kill -INT "$server"
-    wait "$server"
-    local code=$?
-    [[ $code == 0 ]] || fail "Ctrl-C: exit code $code, expected 0: $(cat serve.err)"
+    pid=$server ends 0 "Ctrl-C: $(cat serve.err)"
     server=""
-}
-
-# bad CODE PATTERN ARGS...: runs the command. It must fail with this code and print a
-# single matching line on stderr.
-bad() {
-    local code=$1 pattern=$2
-    shift 2
-    timeout 60 "$relidar" "$@" >out 2>err </dev/null
-    local found=$?
-    [[ $found == "$code" ]] || fail "relidar $*: exit code $found, expected $code"
-    [[ $(grep -v '^relidar: note: ' err | grep -c .) == 1 ]] || fail "relidar $*: more or less than one line of failure: $(cat err)"
-    grep -Eq -- "$pattern" err || fail "relidar $*: the message lacks '$pattern': $(cat err)"
 }
 
 mkdir street
@@ -89,7 +70,7 @@ bad 2 "listen: found 'nonsense', .*HOST:PORT .*0 to 65535" serve run --listen no
 bad 2 "listen: found '127.0.0.1:99999'" serve run --listen 127.0.0.1:99999
 bad 2 "listen: found '127.0.0.1:-1'" serve run --listen 127.0.0.1:-1
 relidar=$relidar_dev bad 2 "serve: found '127.0.0.1:99999', .*HOST:PORT .*1 to 65535" bench --serve 127.0.0.1:99999
-bad 2 "cannot listen at 192.0.2.1:0: Cannot assign requested address" serve run --listen 192.0.2.1:0
+bad 2 "cannot listen at 192.0.2.1:0: Cannot assign requested address" serve run --listen 192.0.2.1:0 --quiet
 relidar=$relidar_dev bad 3 "127.0.0.1:1 .*status 14" bench --serve 127.0.0.1:1
 
 serve town=run
@@ -198,12 +179,9 @@ if [[ -n $layers ]]; then
     serve run
     before=()
     relidar=$relidar_dev bad 3 "status 14: .*VK_ERROR_DEVICE_LOST" bench --serve "$address" --calls 1000
-    wait "$server"
-    code=$?
+    pid=$server ends 4 "a lost device"
     server=""
-    [[ $code == 4 ]] || fail "a lost device: exit code $code, expected 4"
     [[ $(grep -c . serve.err) == 1 ]] && grep -q "^relidar: .*VK_ERROR_DEVICE_LOST" serve.err || fail "a lost device: $(cat serve.err)"
 fi
 
-printf 'serve: %d failed\n' "$n_failed"
-[[ $n_failed == 0 ]]
+finish_checks

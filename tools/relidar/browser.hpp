@@ -6,8 +6,7 @@
 
 namespace relidar::cli {
 
-/// Opens a URL or a file with the program xdg-open. If xdg-open is missing, prints a note
-/// with the address.
+/// Uses xdg-open. If it is missing, prints a note with the address.
 void open_in_browser(const std::string& url_or_path);
 
 }  // namespace relidar::cli

@@ -16,13 +16,11 @@ class App;
 
 namespace relidar::cli {
 
-/// The typed command line, and the function that runs the chosen command.
 struct ParsedCommand {
     std::string command_line;   ///< Command line as the user typed it. Reports show this text.
     std::function<void()> run;  ///< Runs the chosen command. Throws an exception if the command fails.
 };
 
-/// Adds all commands to the parser.
 void add_commands(CLI::App& app, ParsedCommand& selected_command);
 
 void add_list_command(CLI::App& app, ParsedCommand& selected_command);

@@ -14,16 +14,14 @@
 namespace relidar::cli {
 namespace {
 
-// Time until the first progress line, and time between later lines. Work of less than two
-// seconds prints no progress.
+// First progress line and interval. Work of less than two seconds prints no progress.
 constexpr std::chrono::seconds kPlainFirst{2}, kPlainInterval{10};
 constexpr std::chrono::milliseconds kTerminalInterval{100};
 
 // true if the last output on the terminal is a progress line without a line break
 bool line_open = false;
 
-/// Returns the number of terminal columns that a text needs. Assumes that each UTF-8
-/// character needs one column.
+/// Assumes that each UTF-8 character needs one column.
 std::size_t count_terminal_columns(const std::string& text) {
     return static_cast<std::size_t>(std::count_if(text.begin(), text.end(), [](char character) {
         return (static_cast<unsigned char>(character) & 0xC0) != 0x80;
@@ -135,8 +133,7 @@ void TerminalProgress::show_progress_text(const std::string& text, bool ignore_r
     last_ = time;
     std::string line = text + "\n";
     if (terminal_) {
-        // Cuts the text to the width of the terminal, because the next progress line
-        // cannot overwrite a line that wraps.
+        // The next progress line cannot overwrite a line that wraps.
         winsize size{};
         const bool is_width_known = ::ioctl(STDERR_FILENO, TIOCGWINSZ, &size) == 0 && size.ws_col > 1;
         line = "\r" + text.substr(0, is_width_known ? size.ws_col - 1u : std::string::npos) + "\x1b[K";

@@ -14,30 +14,25 @@
 
 namespace relidar::cli {
 
-/// Formats rows of cells as aligned columns that are two spaces apart. The first row is
-/// the header. Columns of numbers are aligned to the right.
+/// Aligned columns; columns of numbers to the right. The first row is the header.
 std::string format_table(const std::vector<std::vector<std::string>>& rows);
 
 std::string format_duration(double seconds);               ///< For example "0:42" or "1:54:00".
 std::string format_byte_size(std::uint64_t n_bytes);       ///< For example "512 B" or "1.3 GiB".
 std::string format_four_significant_digits(double value);  ///< Formats a number with four significant digits.
-/// Replaces line breaks and other control characters in a text by spaces.
+/// Uses spaces instead.
 std::string replace_control_characters(std::string text);
-/// Puts a word into quotes if a shell would split or change it.
 std::string quote_word_for_shell(const std::string& word);
 
-/// Writes to stdout.
 void print(const std::string& text);
 
-/// These functions print one line on stderr. A warning says that a result is probably not
-/// what the user expects. Other remarks are notes.
+/// One line on stderr. A warning says that a result is probably not what the user
+/// expects.
 void print_note(const std::string& text);
 void print_warning(const std::string& text);
-/// Hides notes, and also warnings if `hide_warnings` is true.
 void set_quiet(bool hide_notes, bool hide_warnings = false);
 
-/// Prints a line break if the terminal shows a progress line, so that other output starts
-/// on a new line.
+/// Other output then starts on a new line.
 void end_progress_line();
 
 class TerminalProgress {
@@ -47,12 +42,10 @@ public:
     TerminalProgress(const TerminalProgress&) = delete;
     TerminalProgress& operator=(const TerminalProgress&) = delete;
 
-    /// Shows a progress text. Does nothing if the previous text was shown only a short
-    /// time ago.
-    /// @param ignore_rate_limit if true, always shows the text
+    /// Does nothing if the previous text was shown only a short time ago.
     void show_progress_text(const std::string& text, bool ignore_rate_limit = false);
 
-    /// Shows the progress of `n_total` equal steps as "what 3/10  2.1/s  remaining 0:03".
+    /// Shows "what 3/10  2.1/s  remaining 0:03".
     void show_step_progress(const std::string& description, std::size_t n_done, std::size_t n_total);
 
 private:
@@ -63,8 +56,7 @@ private:
     Clock::time_point last_{};
 };
 
-/// Returns a callback that prints the progress of a library function, for example
-/// "rendering 30 %".
+/// Prints for example "rendering 30 %".
 relidar::ProgressReporter make_terminal_progress_callback(TerminalProgress& terminal_progress);
 
 }  // namespace relidar::cli

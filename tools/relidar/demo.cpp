@@ -26,7 +26,7 @@ namespace {
 
 namespace fs = std::filesystem;
 
-// Position of the second simulated sensor: 2 m to the left of the first and 1 m above it.
+// The second simulated sensor: 2 m to the left and 1 m above.
 const Pose kShift{glm::dquat(1.0, 0.0, 0.0, 0.0), glm::dvec3(0.0, 2.0, 1.0)};
 constexpr const char* kDemoMetrics[] = {"points/depth_medae_m", "points/depth_rmse_m", "strict/intensity_mae",
                                         "strict/drop_accuracy", "strict/cd_mean_m",    "points/cd_mean_m",
@@ -43,11 +43,10 @@ struct DemoOptions {
 Config make_demo_config(const DemoOptions& options, const fs::path& street_folder) {
     Config config = make_preset_config("quick");
     set_config_value(config, "train.seed", options.seed);
-    // The preset is made for 64 beams. This sensor has 32 beams, so the gaps between its
-    // points are wider and need larger surfels.
+    // The preset is made for 64 beams. Here the gaps between 32 beams need larger
+    // surfels.
     config.init.scale_factor = 0.6;
-    // fewer iterations than in preset `quick`, so that the demo takes one to two minutes
-    // on two processor cores
+    // The demo takes one to two minutes on two processor cores.
     config.train.iterations = 250;
     parse_and_apply_setting_texts(config, options.sets);
     config.dataset.path = make_dataset_path_absolute("synthetic:" + street_folder.string());
@@ -65,8 +64,7 @@ EvaluationResult evaluate_on_held_out_frames(Device& device, const TrainedRun& r
     return evaluation;
 }
 
-/// Renders the held-out frames from a sensor that is shifted from its recorded position.
-/// Compares the scans with exact scans of the synthetic street.
+/// Compares with exact scans of the synthetic street.
 EvaluationResult evaluate_with_shifted_sensor(Device& device, const TrainedRun& run,
                                               const SyntheticOptions& exact_street_options, bool quiet) {
     TerminalProgress progress(quiet);

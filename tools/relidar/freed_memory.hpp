@@ -14,8 +14,7 @@
 
 namespace relidar::cli {
 
-/// Keeps up to 256 MiB of freed memory in the process, so that later allocations can use
-/// it. Must be called once at program start.
+/// Keeps up to 256 MiB. Must be called once at program start.
 inline void make_malloc_keep_freed_memory() {
 #ifdef __GLIBC__
     constexpr int kMiB = 1 << 20;
@@ -25,8 +24,7 @@ inline void make_malloc_keep_freed_memory() {
 #endif
 }
 
-/// Returns all freed memory to the operating system. Call it before a stage that needs
-/// other memory, for example a GPU that shares the memory of the host.
+/// Call it before a stage that needs other memory, for example a GPU that shares it.
 inline void return_freed_memory_to_system() {
 #ifdef __GLIBC__
     malloc_trim(0);

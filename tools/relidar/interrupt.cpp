@@ -15,7 +15,7 @@ namespace {
 
 constexpr long long kSameSignal_ms = 1000;
 
-// Time of the first signal in milliseconds. The value is 0 until a signal arrives.
+// milliseconds; 0 until a signal arrives
 std::atomic<long long> first_signal_ms{0};
 static_assert(std::atomic<long long>::is_always_lock_free, "a signal handler may not wait for a lock");
 

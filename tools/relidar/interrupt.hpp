@@ -6,12 +6,10 @@
 
 namespace relidar::cli {
 
-/// Installs handlers for SIGINT and SIGTERM. The handlers only store the time of the
-/// signal, so that the program can stop at the next safe point.
+/// The handlers for SIGINT and SIGTERM only store the time of the signal.
 void install_interrupt_handlers();
 bool is_interrupted();
-/// Throws an error if the user has pressed Ctrl-C, so that the program stops here.
-/// @throws Error with exit code 130
+/// @throws Error with exit code 130 after Ctrl-C
 void throw_if_interrupted();
 
 }  // namespace relidar::cli

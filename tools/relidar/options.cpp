@@ -23,7 +23,6 @@ namespace {
 
 namespace fs = std::filesystem;
 
-/// Returns the number in a text. Returns no value if the text is not a number.
 template <class T>
 std::optional<T> parse_number_text(const std::string& text) {
     T value{};
@@ -153,7 +152,7 @@ void require_settings_used_by_command(const std::vector<std::string>& setting_te
                                       const std::string& command_name) {
     Config scratch;
     for (const std::string& set : setting_texts) {
-        // Throws an error if the key or the value is invalid. The result is not used.
+        // Checks key and value.
         parse_and_apply_setting_texts(scratch, {set});
         const std::string key = set.substr(0, set.find('='));
         const bool is_used =

@@ -19,54 +19,41 @@ class App;
 
 namespace relidar::cli {
 
-/// Values of --device and --traversal.
 struct DeviceCommandOptions {
     int index = -1;
     std::string traversal = "auto";
 };
 void add_device_options(CLI::App& command, DeviceCommandOptions& device_choice);
-/// Adds the option --quiet. It hides progress, results and notes of a command.
 void add_quiet_option(CLI::App& command, bool& quiet);
 DeviceOptions convert_to_device_options(const DeviceCommandOptions& device_choice);
-/// Converts the device options back to command line words, for example to start another
-/// process. Options with default values are left out.
+/// Words of a command line for another process, without default values.
 std::vector<std::string> make_device_arguments(const DeviceCommandOptions& device_choice);
 
-/// Values of the options --preset, --config and --set. A later option in this order
-/// overwrites an earlier one.
+/// A later option in this order overwrites an earlier one.
 struct SettingsCommandOptions {
     std::string preset = "default";
     std::string file;
     std::vector<std::string> sets;  ///< Settings of the form "key=value".
 };
 void add_settings_options(CLI::App& command, SettingsCommandOptions& settings);
-/// Adds the option --channels, which is a short form of the setting render.channels.
 void add_channels_option(CLI::App& command, std::optional<std::string>& parsed_channel_list);
-/// Adds the option --weather.
-/// @param parsed_weather_text output: text that the user typed; parse_weather() reads the
-/// text later
-/// @param scope_help_text part of the help text that says to which scans the weather
-/// applies
+/// @param parsed_weather_text output; parse_weather() reads it later
+/// @param scope_help_text says to which scans the weather applies
 void add_weather_option(CLI::App& command, std::string& parsed_weather_text,
                         const std::string& scope_help_text);
-/// Adds the option --set, for commands that read all other settings from a trained run.
+/// For commands that read all other settings from a trained run.
 void add_setting_override_option(CLI::App& command, std::vector<std::string>& parsed_setting_texts);
 Config make_config_from_settings(const SettingsCommandOptions& settings);
 void parse_and_apply_setting_texts(Config& config, const std::vector<std::string>& key_value_texts);
-/// Returns the names of the settings that affect rendering. A name that ends in a dot
-/// means all settings of that group.
+/// A name that ends in a dot means all settings of that group.
 std::vector<std::string> list_rendering_setting_names();
-/// Checks that the command uses each setting that the user has changed with --set.
-/// @param names_and_prefixes_with_effect settings that the command uses; a name that ends
-/// in a dot means all settings of that group
-/// @param command_name name of the command
+/// @param names_and_prefixes_with_effect a name that ends in a dot means all settings of
+/// that group
 /// @throws UsageError that names the first setting without effect
 void require_settings_used_by_command(const std::vector<std::string>& setting_texts,
                                       const std::vector<std::string>& names_and_prefixes_with_effect,
                                       const std::string& command_name);
 
-/// Values of the options --frames and --sequence. They select the part of a log that is
-/// loaded.
 struct LogSelection {
     std::string frames;
     std::string sequence;
@@ -74,27 +61,23 @@ struct LogSelection {
 void add_frames_and_sequence_options(CLI::App& command, LogSelection& log_selection);
 void apply_log_selection_to_config(Config& config, const LogSelection& log_selection);
 
-/// Parses a range of frames "a:b". Either number may be missing.
+/// "a:b"; either number may be missing.
 /// @throws UsageError if the text has another form
 FrameRange parse_frame_range(const std::string& text);
-/// Prints a note if the user requested frames after the last frame of a log or run.
-/// @param last_frame_number number of the last frame of the log or run
 void print_note_if_frames_after_log_end(const FrameRange& requested_frames, int last_frame_number,
                                         const std::string& run_or_log_path);
-/// Parses a number, with spaces around it. Returns no value if the text is not a finite
-/// number.
+/// Allows spaces around the number.
 std::optional<double> parse_finite_number(const std::string& text);
-/// Parses a list of numbers that are separated by commas.
-/// @throws UsageError if a word is not a number; the message names the option
+/// Separated by commas.
+/// @throws UsageError that names the option if a word is not a number
 std::vector<double> parse_number_list(const std::string& option_name, const std::string& text);
 std::vector<std::string> split_text(const std::string& text, char separator);
 std::string trim_spaces_and_tabs(
     const std::string& text);  ///< Removes spaces and tabs at both ends of a text.
 
-/// Returns the absolute path. An empty path stays empty.
+/// An empty path stays empty.
 std::string make_absolute_path(const std::string& path);
-/// Loads the log that the settings in config.dataset describe.
-/// @param max_scans_per_lidar maximum number of scans to read per LiDAR; 0: all scans
+/// @param max_scans_per_lidar 0: all scans
 LidarSequence load_dataset(const Config& config, bool quiet = false, int max_scans_per_lidar = 0);
 
 }  // namespace relidar::cli

@@ -35,22 +35,19 @@ namespace {
 namespace fs = std::filesystem;
 
 constexpr std::chrono::milliseconds kLockLook{50};
-/// Longest time to wait for the lock of a folder. mpirun and batch systems may restart a
-/// job before all processes of the old job have ended.
+/// mpirun and batch systems may restart a job before all old processes have ended.
 constexpr std::chrono::milliseconds kEndOfOthers{5000};
 
 constexpr const char* kLockFile = ".lock";
 
-/// Returns true if a killed process may have left this file behind. This is either an
-/// unlocked lock file or a half-written temporary file.
+/// An unlocked lock file or a half-written temporary file of a killed process.
 bool is_lock_or_temporary_file(const fs::path& path) {
     const std::string name = path.filename().string();
     return name == kLockFile || (name.starts_with('.') && name.find(".tmp-") != std::string::npos);
 }
 
-/// Returns true if a folder is empty or contains only leftover files of killed processes.
-/// Also returns true if the folder cannot be read, because a later write to the folder
-/// reports that error.
+/// Ignores leftover files of killed processes. True if the folder cannot be read, because
+/// a later write reports that error.
 bool is_folder_without_user_files(const fs::path& folder) {
     std::error_code failed;
     for (fs::directory_iterator entry(folder, failed), end; !failed && entry != end;
@@ -70,21 +67,17 @@ void require_free_folder_or_replaceable_run(const fs::path& folder, ExistingRunP
             "--out {}: the folder is not empty and contains no run; expected a new or empty folder",
             folder.string());
     if (existing_run_policy == ExistingRunPolicy::refuse)
-        fail<UsageError>(
-            "--out {}: the folder already contains a run; expected a new or empty folder; --force overwrites "
-            "the run",
-            folder.string());
+        fail<UsageError>("--out {}: the folder contains a run; expected a new folder, or --force",
+                         folder.string());
 }
 
-/// Removes the half-written files of a killed process from a folder and from its
-/// checkpoint folders. The caller must hold the lock of the folder.
+/// The caller must hold the lock of the folder.
 void remove_temporary_files_of_run(const fs::path& folder) {
     for (const fs::path& in : {folder, get_checkpoint_folder(folder), get_network_checkpoint_folder(folder)})
         remove_temporary_files(in);
 }
 
-/// Returns true if the path still names the open file. Another process may have removed
-/// the lock file and created a new file with the same path.
+/// Another process may have replaced the lock file.
 bool is_open_file_still_at_path(int file_descriptor, const fs::path& expected_path) {
     struct stat opened {
     }, named{};
@@ -92,8 +85,6 @@ bool is_open_file_still_at_path(int file_descriptor, const fs::path& expected_pa
            opened.st_dev == named.st_dev && opened.st_ino == named.st_ino;
 }
 
-/// Returns the path of an output folder.
-/// @throws UsageError for folders whose content has other purposes
 const fs::path& reject_root_and_home_folder(const fs::path& folder) {
     const char* home = std::getenv("HOME");
     std::error_code failed;
@@ -106,11 +97,10 @@ const fs::path& reject_root_and_home_folder(const fs::path& folder) {
 
 struct OpenLockFile {
     int descriptor;
-    /// True if the file is locked. False if the file system does not support locks.
+    /// false if the file system does not support locks
     bool exclusive;
 };
 
-/// Opens a file and locks it.
 /// @return no value if another process holds the lock
 std::optional<OpenLockFile> open_and_lock_file(const fs::path& file) {
     for (;;) {
@@ -135,25 +125,22 @@ OutputFolder::OutputFolder(const fs::path& path) : path_(path) {
 
 OutputFolder::~OutputFolder() {
     std::error_code failed;
-    // Removes the created folder if it is still empty. Otherwise the removal fails, and
-    // the error is ignored.
+    // Fails if the folder is not empty; the error is ignored.
     if (!was_there_) fs::remove(path_, failed);
 }
 
 void require_folder_for_scans(const fs::path& folder, bool overwrite) {
     if (const fs::path foreign = find_foreign_scan_file(folder); !foreign.empty())
-        fail<UsageError>(
-            "--out {}: the folder contains {}, which is not listed in a scans.json of relidar and could be "
-            "replaced; choose a new folder",
-            folder.string(), foreign.filename().string());
+        fail<UsageError>("--out {}: found {}, which is not listed in a scans.json; expected a new folder",
+                         folder.string(), foreign.filename().string());
     const std::vector<fs::path> files = list_scan_files(folder);
     if (contains_run(folder) || (files.empty() && is_dataset(folder)))
         fail<UsageError>("--out {}: this is a {}; choose a different folder for scans", folder.string(),
                          contains_run(folder) ? "run folder" : "log");
     if (!files.empty() && !overwrite)
         fail<UsageError>(
-            "--out {}: the folder already contains rendered scans ({} files, for example {}); choose a new "
-            "folder, or use --force to replace the files",
+            "--out {}: the folder contains scans ({} files, for example {}); expected a new folder, or "
+            "--force",
             folder.string(), files.size(), files.front().filename().string());
 }
 
@@ -168,10 +155,8 @@ FolderLock::FolderLock(const fs::path& folder, std::chrono::milliseconds max_wai
     for (; !lock && std::chrono::steady_clock::now() < end; lock = open_and_lock_file(file_))
         std::this_thread::sleep_for(kLockLook);
     if (!lock)
-        fail(
-            "cannot write {}: another relidar process is writing this {}; wait until that process has "
-            "finished",
-            folder.string(), contains_run(folder) ? "run" : "folder");
+        fail("cannot write {}: another relidar process is writing this {}", folder.string(),
+             contains_run(folder) ? "run" : "folder");
     descriptor_ = lock->descriptor;
     if (lock->exclusive) remove_temporary_files_of_run(folder);
 }
@@ -193,16 +178,14 @@ bool FolderLock::is_folder_locked(const fs::path& folder) {
 }
 
 FolderLock::~FolderLock() {
-    // Removes the lock file before the lock is released. Otherwise another process could
-    // lock this file just before it is removed.
+    // Otherwise another process could lock the file just before it is removed.
     if (is_open_file_still_at_path(descriptor_, file_)) ::unlink(file_.c_str());
     ::close(descriptor_);
 }
 
 RunOutputFolder::RunOutputFolder(const fs::path& path, ExistingRunPolicy existing_run_policy)
     : was_empty_(is_folder_without_user_files(path)) {
-    // Checks the content before the folder is locked, because the lock writes a file into
-    // the folder.
+    // Before locking, because the lock writes a file into the folder.
     if (!contains_run(path)) require_free_folder_or_replaceable_run(path, existing_run_policy);
     folder_.emplace(path);
     lock_.emplace(
@@ -227,7 +210,6 @@ RunOutputFolder::~RunOutputFolder() {
 
 namespace {
 
-/// Returns true if a folder contains files of a run and no other files.
 bool contains_only_run_files(const fs::path& folder) {
     static const std::set<std::string> kNames{"config.toml",
                                               "scene.json",
@@ -268,8 +250,8 @@ void RunFolderWriter::save_run_to_folder(TrainedRun& run) const {
             run.folder = path_;
             return;
         } catch (const DataError&) {
-            // The folder is a mount point or its parent is read-only, so it cannot be
-            // renamed. The files in the folder are overwritten below instead.
+            // The folder is a mount point or its parent is read-only. Its files are
+            // overwritten below.
             run.folder = path_;
         }
     }
@@ -277,7 +259,7 @@ void RunFolderWriter::save_run_to_folder(TrainedRun& run) const {
         remove_run_result_files(path_);
         remove_block_folders(path_);
         std::error_code failed;
-        // removes the old checkpoints, because a later training would continue from them
+        // A later training would continue from them.
         fs::remove_all(get_checkpoint_folder(path_), failed);
     });
 }
@@ -312,7 +294,7 @@ fs::path get_network_checkpoint_folder(const fs::path& run_folder) {
 void remove_network_checkpoints(const fs::path& run_folder) {
     remove_checkpoints(get_network_checkpoint_folder(run_folder));
     std::error_code failed;
-    // Fails if the folder still contains checkpoints of the scene. The error is ignored.
+    // Fails if the folder still contains checkpoints of the scene; the error is ignored.
     fs::remove(get_checkpoint_folder(run_folder), failed);
 }
 

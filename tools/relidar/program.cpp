@@ -6,16 +6,67 @@
 #include <exception>
 #include <filesystem>
 #include <new>
+#include <vector>
 
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 #include <CLI/CLI.hpp>
 
 #include "console.hpp"
 #include "freed_memory.hpp"
-#include "usage.hpp"
 
 namespace relidar::cli {
 namespace {
+
+std::vector<std::string> list_command_names(const CLI::App& app) {
+    std::vector<std::string> names;
+    for (const CLI::App* command : app.get_subcommands([](const CLI::App*) { return true; }))
+        names.push_back(command->get_name());
+    return names;
+}
+
+/// Adds the expected value to "Could not convert: --device = x".
+std::string explain_conversion_error(const std::string& parser_message) {
+    const std::string start = "Could not convert: ", middle = " = ";
+    const std::size_t at = parser_message.find(middle);
+    if (parser_message.rfind(start, 0) != 0 || at == std::string::npos) return parser_message;
+    return fmt::format("{}: found \"{}\", expected an integer",
+                       parser_message.substr(start.size(), at - start.size()),
+                       parser_message.substr(at + middle.size()));
+}
+
+/// The parser stores each unexpected word in the command that read it. Names the first one,
+/// because it is the user's mistake.
+/// @param app parser after it has failed
+std::string make_usage_error_message(const CLI::App& app, const std::string& parser_message) {
+    const CLI::App* chosen = &app;
+    std::string path = app.get_name();
+    while (!chosen->get_subcommands().empty()) {
+        chosen = chosen->get_subcommands().front();
+        path += " " + chosen->get_name();
+    }
+    const CLI::App& command = *chosen;
+    const std::string help = path + " --help";
+    std::vector<std::string> unexpected = app.remaining(true);
+    if (unexpected.empty() && parser_message.find("subcommand") != std::string::npos)
+        return fmt::format("found no subcommand; expected one of {} (see `{}`)",
+                           fmt::join(list_command_names(command), ", "), help);
+    if (unexpected.empty())
+        return fmt::format("{} (see `{}`)", explain_conversion_error(parser_message), help);
+    // --name=value
+    const std::string word = unexpected.front().substr(0, unexpected.front().find('='));
+    if (word.size() > 1 && word.front() == '-') {
+        std::vector<std::string> option_names;
+        for (const CLI::Option* option : command.get_options())
+            for (const std::string& name : option->get_lnames()) option_names.push_back("--" + name);
+        return fmt::format("unknown option {}{} (see `{}`)", word, format_name_suggestion(word, option_names),
+                           help);
+    }
+    if (const std::vector<std::string> names = list_command_names(command); !names.empty())
+        return fmt::format("unknown command {}{} (see `{}`)", word, format_name_suggestion(word, names),
+                           help);
+    return fmt::format("unexpected argument {}; the command does not accept it (see `{}`)", word, help);
+}
 
 void flush_stdout_or_throw() {
     if (std::fflush(stdout) != 0 || std::ferror(stdout))
@@ -23,8 +74,7 @@ void flush_stdout_or_throw() {
             "cannot write all text to standard output: the disk is full or the reader has closed the pipe");
 }
 
-/// Returns the help text of the program. Each command has only one line, so that the text
-/// fits on one screen.
+/// Each command has only one line, so that the text fits on one screen.
 std::string format_help_with_command_list(const CLI::App& app) {
     std::string text = fmt::format("{}\nUsage: {} COMMAND [OPTIONS], COMMAND --help or --version\n\n",
                                    app.get_description(), app.get_name());
@@ -79,8 +129,7 @@ int run_program(const ProgramDescription& program, int argc, char** argv) {
                       "out of memory: this machine has too little memory for this log or scene; use fewer "
                       "frames (--frames A:B) or larger voxels (--set init.voxel_m=METRES)");
     } catch (const std::filesystem::filesystem_error& error) {
-        // Uses the exit code for invalid data, because a file system error is not a bug
-        // of relidar.
+        // A file system error is not a bug of relidar.
         return report(ExitCode::data,
                       fmt::format("cannot access {}: {}", error.path1().string(), error.code().message()));
     } catch (const std::exception& error) {

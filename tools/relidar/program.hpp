@@ -10,7 +10,6 @@
 
 namespace relidar::cli {
 
-/// Describes a program with several commands, for example relidar or relidar-dev.
 struct ProgramDescription {
     std::string name;         ///< Name of the program as the user types it.
     std::string description;  ///< One-line description.
@@ -18,7 +17,6 @@ struct ProgramDescription {
     void (*add_commands)(CLI::App& app, ParsedCommand& call);
 };
 
-/// Runs the command that the user typed.
 /// @return the exit code of the process
 int run_program(const ProgramDescription& program, int argc, char** argv);
 

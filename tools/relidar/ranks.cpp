@@ -21,15 +21,13 @@
 namespace relidar::cli {
 namespace {
 
-/// Waits until an MPI request is finished. Sleeps 20 ms between the tests, because
 /// MPI_Wait would keep a processor core busy.
 void wait_for_mpi_request(MPI_Request request) {
     for (int done = 0; !done; std::this_thread::sleep_for(std::chrono::milliseconds(done ? 0 : 20)))
         MPI_Test(&request, &done, MPI_STATUS_IGNORE);
 }
 
-/// Returns a hash (FNV-1a) of the program file. Two processes with the same hash run the
-/// same build. Returns 0 if the file cannot be read.
+/// FNV-1a; 0 if the program file cannot be read.
 unsigned long long compute_program_file_hash() {
     std::ifstream program("/proc/self/exe", std::ios::binary);
     unsigned long long hash = 14695981039346656037ull;
@@ -40,22 +38,17 @@ unsigned long long compute_program_file_hash() {
     return program.bad() || !program.eof() ? 0 : hash;
 }
 
-/// Checks that all MPI processes run the same build of relidar. Different builds may
-/// store settings and arrays in a different order.
-/// @throws UsageError if the build of this process differs from the build of the first
-/// process
+/// Different builds may store settings and arrays in a different order.
+/// @throws UsageError if the build differs from that of the first process
 void require_same_build_on_all_ranks(int rank) {
     const unsigned long long build = compute_program_file_hash();
     unsigned long long first_build = build;
     MPI_Bcast(&first_build, 1, MPI_UNSIGNED_LONG_LONG, 0, MPI_COMM_WORLD);
     if (build != first_build)
-        fail<UsageError>(
-            "MPI process {} runs a different build of relidar than the first process; all processes must run "
-            "the same build",
-            rank);
+        fail<UsageError>("MPI process {} runs a different build of relidar than the first process", rank);
 }
 
-/// Concatenates the texts of all MPI processes. Every process receives the complete text.
+/// Every process receives the complete text.
 std::string gather_and_concatenate_rank_texts(const std::string& text, int n_ranks) {
     const auto n = static_cast<unsigned long long>(text.size());
     std::vector<unsigned long long> sizes(static_cast<std::size_t>(n_ranks));
@@ -64,7 +57,7 @@ std::string gather_and_concatenate_rank_texts(const std::string& text, int n_ran
                    &request);
     wait_for_mpi_request(request);
     const unsigned long long total = std::accumulate(sizes.begin(), sizes.end(), 0ull);
-    // MPI stores the number of bytes as int, so texts of more than 2 GiB are rejected.
+    // MPI stores the number of bytes as int.
     if (total > static_cast<unsigned long long>(std::numeric_limits<int>::max()))
         throw Error(
             ExitCode::bug,

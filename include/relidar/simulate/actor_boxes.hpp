@@ -13,8 +13,8 @@
 
 namespace relidar {
 
-/// Box of an actor at the time at which the sensor faces the actor. The box of a moving
-/// actor matches its points only at this time.
+/// Box of an actor at the time at which the sensor faces it; only then it matches the
+/// points.
 struct ActorBox {
     std::string track, category;
     glm::dvec3 size_m{0.0};        ///< length, width and height
@@ -22,20 +22,17 @@ struct ActorBox {
     Pose dataset_from_box;         ///< pose of the centre of the box
     glm::dvec3 velocity_mps{0.0};  ///< in the world frame of the dataset
     std::size_t n_points = 0;      ///< first returns of the scan on the actor
-    /// Rays that hit the actor first, divided by the rays that would hit it if the scene
-    /// contained only this actor.
+    /// rays that hit the actor first, divided by those that would hit it alone
     double visible_share = 0.0;
 };
 
-/// Returns the boxes of all actors in `format.actors` that at least one ray of the scan
-/// would hit if no other object hid them.
-/// @param scan  scan with actor_views. ScanRenderer::enable_actor_visibility() must have
-/// been called before the scan was rendered
+/// Returns the boxes of `format.actors` that at least one ray would hit if no other
+/// object hid them.
+/// @param scan  rendered after ScanRenderer::enable_actor_visibility()
 std::vector<ActorBox> find_actor_boxes(const RenderedScan& scan, const ScanOutputOptions& format);
 
-/// Sets the poses in `output_options.actors`, the actor boxes that are written to
-/// recordings, to the poses of a ScanRequest. Removes the boxes of actors that the
-/// request does not contain.
+/// Sets the poses of `output_options.actors` to those of a ScanRequest. Removes the boxes
+/// of other actors.
 void set_actor_boxes_to_requested_poses(ScanOutputOptions& output_options,
                                         const ActorTracksByName& dataset_from_actor);
 

@@ -11,7 +11,6 @@
 
 namespace relidar {
 
-/// Selects which rays and returns of a scan are converted to points.
 enum class PointSelection {
     first_returns,  ///< rays that return
     returns,        ///< First and second returns. A second return follows the first return of the same ray.

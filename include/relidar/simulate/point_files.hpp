@@ -9,20 +9,17 @@
 
 namespace relidar {
 
-/// Writes points to a PLY file. The properties are x y z intensity (float32), ring
-/// (uint16), time (float32), instance (int32), return (uint8) and the channels (float32
-/// or int32). A vector channel has the properties NAME_x NAME_y NAME_z. The channel
-/// "normal" is written as nx ny nz, as other programs expect. Properties that are unknown
-/// for these points are left out. A file without points still lists ring, time and
-/// instance, so that all files of a scan folder have the same fields.
+/// Properties: x y z intensity (float32), ring (uint16), time (float32), instance
+/// (int32), return (uint8) and the channels (float32 or int32; NAME_x NAME_y NAME_z of a
+/// vector, but nx ny nz of "normal"). Unknown properties are left out. A file without
+/// points still lists ring, time and instance.
 /// @param notes comments in the header of the file
 /// @throws DataError if lengths differ, and in the same cases as
 /// require_valid_channel_names_and_sizes() and write_file_atomically()
 void write_ply(const std::filesystem::path& path, const LidarPoints& points, const FileMetadata& notes = {});
-/// Writes points to a binary PCD 0.7 file. The VIEWPOINT in the header is
-/// `world_from_points`.
+/// Binary PCD 0.7. VIEWPOINT is `world_from_points`.
 void write_pcd(const std::filesystem::path& path, const LidarPoints& points, const FileMetadata& notes = {});
-/// Writes points to a KITTI file: n x float32 x y z intensity, without a header.
+/// n x float32 x y z intensity, without a header.
 void write_kitti_bin(const std::filesystem::path& path, const LidarPoints& points);
 
 }  // namespace relidar

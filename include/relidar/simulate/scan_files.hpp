@@ -29,82 +29,65 @@ struct RenderedScan;
 struct TrainedRun;
 struct SimulatedSensor;
 
-/// Returns the names of all formats: the file extensions for single scans, and the
-/// recordings `mcap`, `rosbag` and `pcap`.
+/// File extensions for single scans, and the recordings `mcap`, `rosbag` and `pcap`.
 std::vector<std::string> list_scan_formats();
-/// Returns true if a format stores all scans in a single file. Only one process can write
-/// such a file.
+/// Returns what the files of each format contain, for help texts.
+std::string make_scan_format_help();
+/// True if one file stores all scans, so that only one process can write it.
 bool is_recording_format(const std::string& format);
 
 /// Coordinate frame of points, and of the rays in npz and exr files.
 enum class PointCoordinateFrame { sensor, world };
 
-/// Sensor properties that only the format pcap needs.
 struct PacketFormatOptions {
     std::optional<SpinningSensor> sensor;  ///< empty if the sensor does not spin
     std::string ouster_profile;            ///< packet format, as in PacketOptions
 };
 
-/// Options for writing scans, and the metadata that the files contain.
 struct ScanOutputOptions {
     std::vector<std::string> formats{"npz"};  ///< names from list_scan_formats()
     PointCoordinateFrame frame = PointCoordinateFrame::sensor;
-    /// Used only for points in the sensor frame. True: all points are in the sensor frame
-    /// at the reference time of the scan. False: each point is in the sensor frame at its
-    /// firing time.
+    /// Only for points in the sensor frame. True: frame at the time of the scan. False:
+    /// frame at each point's firing time.
     bool deskew = false;
     std::vector<std::string> instance_names;  ///< names by instance: "background" or the track
-    /// Tracks of the rendered actors, if only some actors were rendered. Empty if
-    /// everything was rendered.
+    /// Tracks of the rendered actors. Empty if everything was rendered.
     std::vector<std::string> only;
-    /// Random seed of a sampled scan. Empty if the scan has expected values without
-    /// noise.
+    /// Empty if the scan has expected values.
     std::optional<std::uint64_t> sample;
     Weather weather = {};
     std::string run;  ///< folder of the run
     std::string sensor;
     RangeLimits limits;
-    /// Pose of the simulated sensor relative to the log's sensor. If `trajectory` is set,
-    /// the pose is relative to the poses of the trajectory.
+    /// Relative to the log's sensor, or to the poses of `trajectory`.
     Pose offset;
-    /// Pose of the log's sensor on the vehicle. Recordings need it, because they also
-    /// contain the frame of the vehicle.
+    /// For the frame of the vehicle in recordings.
     Pose vehicle_from_lidar;
-    /// True if the rays of a scan are fired at different times.
     bool rolling_shutter = true;
-    /// Topic of the sensor's point clouds in recordings. The names of the sensor's other
-    /// topics begin with this name.
+    /// The names of the sensor's other topics begin with this name.
     std::string topic = "/lidar/points";
     std::string frame_id = "lidar";  ///< frame id of the sensor in recordings
-    /// Tracks of the actors in relidar's world frame. Recordings store them as boxes.
+    /// In relidar's world frame. Recordings store them as boxes.
     std::vector<BoxTrack> actors;
-    /// Offset in metres from relidar's world frame to the dataset's world frame.
     glm::dvec3 world_offset_m{0.0};
-    /// Trajectory file that defines the poses of the sensor. If empty, the poses of the
-    /// log's sensor are used.
+    /// File with the poses of the sensor. If empty, the poses of the log's sensor are
+    /// used.
     std::string trajectory;
     PacketFormatOptions packets;
-    /// Nanoseconds added to times of the log in recordings and packets
-    /// (compute_time_shift_ns()).
+    /// Added to times of the log in recordings and packets (compute_time_shift_ns()).
     std::int64_t time_shift_ns = 0;
     Config config;
 };
-/// Returns ScanOutputOptions::time_shift_ns for all scans of a run.
 /// @param first_scan_s  time of the first scan, if it can be before the log
 std::int64_t compute_time_shift_ns(const TrainedRun& run, const SimulatedSensor& sensor,
                                    double first_scan_s = std::numeric_limits<double>::infinity());
-/// Returns the default format for scans of a run: npz files with rays in the sensor
-/// frame. The simulated sensor has the same poses as the log's sensor.
+/// npz files with rays in the sensor frame, at the poses of the log's sensor.
 ScanOutputOptions make_default_output_options(const TrainedRun& run, const SimulatedSensor& sensor);
-/// Returns true if all points of a written scan share one coordinate frame, false if each
-/// point is in the sensor frame at its firing time. Points share a frame in three cases:
-/// world frame, `deskew` (sensor frame at one time, in recordings the time stamp of the
-/// message), or rays that are all fired at the same time.
+/// True for the world frame, for `deskew` and without a rolling shutter. Otherwise each
+/// point is in the sensor frame at its firing time.
 bool are_points_in_one_coordinate_frame(const ScanOutputOptions& output_options);
-/// Sets the topic and the frame id of a sensor in recordings to /lidar/NAME/points and
-/// NAME. In the topic, NAME is converted by make_valid_topic_name(). An empty name gives
+/// /lidar/NAME/points, with make_valid_topic_name(), and NAME. An empty name gives
 /// /lidar/points and lidar.
-/// @param sensor_name  name of the log's LiDAR or of the rig's sensor
 void set_topic_and_frame_id_from_name(ScanOutputOptions& output_options, const std::string& sensor_name);
 /// Replaces characters that ROS does not allow in topic names by _.
 std::string make_valid_topic_name(const std::string& name);
@@ -140,22 +123,18 @@ std::string make_valid_topic_name(const std::string& name);
 /// needs.
 class ScanRecordingsWriter {
 public:
-    /// Creates the recordings in an existing folder. Removes the files that an earlier
-    /// rendering has written to this folder (list_scan_files()).
-    /// @param sensors  formats of the sensors, at least one; settings common to all
-    /// sensors are read from the first
+    /// Creates the recordings in an existing folder. Removes list_scan_files().
+    /// @param sensors  at least one; common settings are read from the first
     /// @throws UsageError if two topics or frames have the same name, if ROS does not
     /// allow a name, or if find_foreign_scan_file() finds a file
     /// @throws DataError if a file cannot be written
     ScanRecordingsWriter(std::filesystem::path folder, std::vector<ScanOutputOptions> sensors);
-    /// Appends the scans of a sweep to the recordings.
     /// @param scans  a scan for each sensor, all of the same sweep
     /// @throws DataError if times decrease or a file cannot store them
     void write_scans(std::span<const RenderedScan> scans);
-    /// Gives the files their final names, and writes a scans.json that lists them.
+    /// Gives the files their final names, and lists them in scans.json.
     void finish_recording_files();
-    /// Returns the names of the files. Calibration files of packets are listed after
-    /// finish_recording_files().
+    /// Calibration files of packets are listed after finish_recording_files().
     std::vector<std::string> list_file_names() const;
 
 private:
@@ -163,26 +142,22 @@ private:
     std::shared_ptr<Impl> impl_;
 };
 
-/// A topic of ScanMessageEncoder.
 struct ScanTopic {
     std::string name, type;     ///< type: name of the Protobuf message
     std::string schema_base64;  ///< Protobuf FileDescriptorSet of the message, in base64.
 };
-/// A Protobuf message of a topic.
 struct ScanMessage {
     std::size_t topic;  ///< index in ScanMessageEncoder::list_topics()
     std::uint64_t time_ns;
     std::string bytes;
 };
 
-/// Converts scans to the messages that ScanRecordingsWriter writes to scans.mcap, so that
-/// a server can send them to connected clients.
+/// Converts scans to the messages of scans.mcap, so that a server can send them.
 class ScanMessageEncoder {
 public:
-    /// @param sensors  formats of the sensors, as in ScanRecordingsWriter
     explicit ScanMessageEncoder(std::vector<ScanOutputOptions> sensors);
     std::vector<ScanTopic> list_topics() const;
-    /// Returns the messages of all topics in the order of their times.
+    /// In the order of their times.
     /// @param scans  a scan for each sensor, all of the same sweep
     /// @throws DataError if times decrease
     std::vector<ScanMessage> convert_to_messages(std::span<const RenderedScan> scans);
@@ -215,29 +190,23 @@ private:
 /// scan.
 class ScanFolderWriter {
 public:
-    /// Creates the folder if it does not exist. Removes the files of an earlier rendering
-    /// from the folder.
-    /// @throws UsageError for an unknown format. The message suggests the most similar
-    /// known format.
+    /// Creates the folder if it does not exist. Removes the files of an earlier
+    /// rendering.
+    /// @throws UsageError for an unknown format
     /// @throws DataError if the folder cannot be written
     ScanFolderWriter(std::filesystem::path folder, ScanOutputOptions format);
-    /// Opens a folder that another process has created for the same rendering, so that
-    /// both processes write scans to it. Removes no files.
+    /// Opens a folder that another process has created for the same rendering.
     /// @throws UsageError for a recording, because only one process can write it
     /// @throws errors of the constructor
     static ScanFolderWriter join_folder_of_other_process(std::filesystem::path folder,
                                                          ScanOutputOptions output_options);
-    /// Writes the files of a scan.
-    /// @param frame_number  number of the frame
     /// @throws DataError if a file cannot be written
     void write_scan(int frame_number, const RenderedScan& scan);
-    /// Writes scans.json and gives the recordings their final names. Must be called after
-    /// the last scan.
+    /// Must be called after the last scan.
     void finish_scan_folder();
     const std::filesystem::path& path() const { return folder_; }
-    /// Returns the entries of scans.json for the scans that this object has written. Each
-    /// entry is JSON without line breaks. set_summary_entries() replaces the entries, for
-    /// example to add those of other processes.
+    /// Entries of scans.json, as JSON without line breaks. set_summary_entries() can add
+    /// those of other processes.
     const std::vector<std::string>& get_summary_entries() const { return entries_; }
     void set_summary_entries(std::vector<std::string> entries) { entries_ = std::move(entries); }
 
@@ -249,45 +218,37 @@ private:
     ScanOutputOptions format_;
     std::vector<std::string> entries_;
     std::vector<ChannelInfo> channels_;  ///< channels of the scans, in addition to the basic ones
-    /// Recordings of the scans. A shared pointer, so that a ScanFolderWriter can be
-    /// moved. Null if join_folder_of_other_process() has opened the folder of another
-    /// process.
+    /// A shared pointer, so that a ScanFolderWriter can be moved. Null if another process
+    /// has created the folder.
     std::shared_ptr<ScanRecordingsWriter> recordings_;
-    /// Marks the folder as an unfinished rendering, whose files are not listed yet.
     std::shared_ptr<const std::filesystem::path> unfinished_marker_;
 
-    /// returns true if `format` is one of ScanOutputOptions::formats
     bool is_output_format_selected(const std::string& format) const;
     void write_summary_file() const;
 };
 
-/// Returns the arrays of a scan's npz file, in the order of the file.
-/// @param frame_number  number of the frame
+/// Arrays of an npz file, in the order of the file.
 std::vector<NamedArray> make_scan_arrays(const RenderedScan& scan, int frame_number,
                                          const ScanOutputOptions& format);
 
-/// Returns the paths of files that an earlier rendering has written to a folder: those in
-/// its scans.json, or all of an unfinished rendering. The ScanFolderWriter constructor
-/// would remove these files.
+/// Files that an earlier rendering has written: those in its scans.json, or all of an
+/// unfinished rendering.
 std::vector<std::filesystem::path> list_scan_files(const std::filesystem::path& folder);
 /// Returns a file that list_scan_files() does not list, although its name is a name of
-/// rendered scans, so that a rendering could replace it. Empty if there is none.
+/// rendered scans. Empty if there is none.
 std::filesystem::path find_foreign_scan_file(const std::filesystem::path& folder);
 
-/// Returns a picture of the ranges in false colours. The colours depend on the square
-/// root of the range, so that near objects have more contrast. The next two functions
-/// return gray pictures of intensities and drop probabilities. In all pictures, pixels
-/// without a return are dark gray.
+/// False colours by the square root of the range, so that near objects have more
+/// contrast. The next two are gray. Pixels without a return are dark gray.
 Image draw_range_picture(const RangeImage& image, double max_range_m);
 Image draw_intensity_picture(const RangeImage& image);
 Image draw_ray_drop_picture(const RangeImage& image);
-/// Returns a single picture with range, intensity and drop probability below each other.
+/// Range, intensity and drop probability below each other.
 Image draw_scan_picture(const RenderedScan& scan);
-/// Returns the factor by which stack_images_vertically() stretches an image vertically.
-/// LiDAR images would otherwise look too flat, because the angles between rows are larger
-/// than between columns.
+/// Factor for stack_images_vertically(): the angles between rows are larger than between
+/// columns.
 int compute_vertical_stretch_factor(const RangeImage& image);
-/// Returns [rows*columns] values: 1 for pixels with a return, 0 for all others.
+/// [rows*columns] 1 for pixels with a return, 0 for all others.
 std::vector<float> make_returned_pixel_mask(const RangeImage& image);
 
 }  // namespace relidar

@@ -11,27 +11,23 @@
 
 namespace relidar {
 
-/// Converts a rendered scan to a measured scan, for example for a packet encoder. Rays
-/// without a return get range 0.
+/// Rays without a return get range 0.
 Scan convert_rendered_to_measured_scan(const RenderedScan& scan, const Config& config);
 
-/// Converts the scans of a sensor, or of all sensors of a rig, to the network packets
-/// that these sensors send.
+/// Converts the scans of a sensor, or of all sensors of a rig, to their network packets.
 class ScanPacketEncoder {
 public:
-    /// @param sensors  one entry per sensor, with the sensor's properties in `packets`
+    /// @param sensors  with the properties in `packets`
     /// @throws UsageError if packets of a sensor cannot be written
     explicit ScanPacketEncoder(std::vector<ScanOutputOptions> sensors);
     ~ScanPacketEncoder();
 
-    /// Adds the scans of a sweep.
     /// @param scans  a scan for each sensor
     /// @return [sensors] packets that are complete
     /// @throws UsageError if a scan does not fit its sensor or overlaps the previous scan
     std::vector<std::vector<SensorPacket>> encode_scans_as_packets(std::span<const RenderedScan> scans);
-    /// Returns the remaining packets. Must be called after the last scans.
+    /// Must be called after the last scans.
     std::vector<std::vector<SensorPacket>> flush_remaining_packets();
-    /// Returns the encoder of a sensor.
     const PacketEncoder& get_packet_encoder(std::size_t sensor_index) const;
 
 private:

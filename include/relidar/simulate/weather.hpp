@@ -15,161 +15,139 @@
 
 namespace relidar {
 
-/// Position of the sun and its illuminance.
 struct Sun {
-    /// Azimuth of the sun, measured from the x axis of the dataset's world towards its y
-    /// axis.
+    /// from the x axis of the dataset's world towards its y axis
     double azimuth_deg = 0.0;
     double elevation_deg = 0.0;
-    /// Illuminance of a surface that faces the sun: 100 on a clear day, 0 without sun.
+    /// illuminance of a surface that faces the sun: 100 on a clear day
     double klux = 0.0;
 
     bool operator==(const Sun&) const = default;
 };
 
-/// State of the weather, which is the same everywhere in the scene.
+/// The same everywhere in the scene.
 struct Weather {
-    /// Distance at which fog has reduced the light to 5 %.
     double fog_visibility_m = std::numeric_limits<double>::infinity();
     double rain_mm_h = 0.0;  ///< rain rate in millimetres of water per hour
     double snow_mm_h = 0.0;  ///< snow rate in millimetres of melted water per hour
     double wet_mm = 0.0;     ///< depth of the water on level ground
     Sun sun = {};
-    /// Strength of blooming: stray light of a bright retro-reflector causes false returns
-    /// on neighbouring rays. `bloom` is their reflectivity (median over the beams) one
-    /// degree away from a reflector of one square degree.
+    /// Stray light of a bright retro-reflector on neighbouring rays: their reflectivity
+    /// (median over the beams) one degree away from a reflector of one square degree.
     double bloom = 0.0;
 
     bool is_clear() const { return *this == Weather{}; }
     bool operator==(const Weather&) const = default;
 };
 
-/// Parses a weather description: words separated by commas, for example "rain=5,wet=0.5".
-/// Each word is an effect of kWeatherEffects. "clear" or an empty text means clear air,
-/// dry ground and no sun.
+/// Words of kWeatherEffects separated by commas, for example "rain=5,wet=0.5". "clear" or
+/// an empty text means clear air, dry ground and no sun.
 /// @throws UsageError for an unknown word, for a number out of range, and for rain
 /// together with snow
 Weather parse_weather(const std::string& text);
-/// Converts weather to text that parse_weather() can read. Returns "clear" for clear air.
+/// Inverse of parse_weather(); "clear" for clear air.
 std::string format_weather(const Weather& weather);
-/// Throws an exception if a value of the weather is out of range.
 /// @throws UsageError for the same values as parse_weather()
 void require_valid_weather(const Weather& weather);
 
-/// Properties of a sensor that determine how weather affects its scans. The wavelength is
-/// 905 nm. Other near-infrared wavelengths give the same results, because fog, rain and
-/// snow particles are much larger than the wavelength.
+/// Properties of a sensor for weather. The wavelength is 905 nm; other near-infrared
+/// wavelengths give the same results, because particles are much larger.
 struct WeatherSensorProperties {
     double divergence_rad = 0.003;  ///< full divergence of the beams
     double aperture_m = 0.01;       ///< width of a beam at the sensor
     double pulse_s = 6e-9;          ///< full width of the pulse at half maximum
-    /// Minimum distance between two returns of a ray. Returns that are closer to each
-    /// other are merged.
+    /// Returns that are closer to each other are merged.
     double separation_m = 0.5;
-    /// Minimum range of a return. For returns from fog, rain and snow, the minimum is at
-    /// least 1 m.
+    /// At least 1 m for returns from fog, rain and snow.
     double min_range_m = 0.0;
     double max_range_m = 80.0;
-    /// Reflectivity of a surface at the maximum range that returns as much power as the
-    /// weakest peak that the receiver detects. It limits noise and stray light.
+    /// Reflectivity of a surface at the maximum range with the power of the weakest peak
+    /// that the receiver detects. Limits noise and stray light.
     double darkest = 0.005;
-    /// Surfaces with a lower reflectivity are not detected, not even at short range,
-    /// where they return more power. The reason is that the receiver is focused on far
-    /// targets, so that it collects less light of near targets. 0 = no such limit.
+    /// Darker surfaces are not detected, not even at short range, because the receiver is
+    /// focused on far targets. 0 = no such limit.
     double weakest_reflectivity = 0.0;
-    /// Power of the weakest surface in the range specification of a data sheet:
-    /// reflectivity / range^2. 0 = no such limit.
+    /// Weakest surface in a data sheet: reflectivity / range^2. 0 = no such limit.
     double min_specified_power = 0.0;
-    /// Power of the weakest stray light around a reflector. 0 = no such limit.
+    /// Weakest stray light around a reflector. 0 = no such limit.
     double min_stray_power = 0.0;
 
-    /// Returns the minimum power of noise and stray light that is detected: the power of
-    /// the darkest surface at the maximum range.
+    /// Minimum power of noise and stray light: the darkest surface at the maximum range.
     double compute_min_detectable_power() const { return darkest / (max_range_m * max_range_m); }
-    /// Returns the minimum power that surfaces, fog, particles and mirrored objects must
-    /// reach. It is the largest of three powers: compute_min_detectable_power(),
-    /// `min_specified_power`, and the power that a surface with `weakest_reflectivity`
-    /// returns from this range.
+    /// Minimum power of surfaces, fog, particles and mirrored objects: the largest of
+    /// compute_min_detectable_power(), `min_specified_power`, and the power of
+    /// `weakest_reflectivity` at this range.
     double compute_min_detected_power_at_range(double range_m) const;
 };
 
-/// Cause of a point. These are the values of the channel `source`.
+/// Values of the channel `source`.
 enum class ReturnCause : std::int32_t {
     nothing = -1,
     surface = 0,
     fog = 1,
     rain = 2,
     snow = 3,
-    /// Mirror image of an object in wet ground. The point is below the ground, because
-    /// its range is the full length of the light's path via the ground to the object.
+    /// Mirror image of an object in wet ground, below the ground: the range is the length
+    /// of the light's path.
     mirror = 4,
     noise = 5,    ///< Sunlight that the receiver detects as a return, without an object.
     blooming = 6  ///< stray light of a retro-reflector in another direction
 };
 
-/// A possible return of a ray.
 struct LidarEcho {
     double range_m = 0.0;  ///< Range along the ray. It is 0 if the ray has no return.
-    /// Received power, expressed as the reflectivity of a surface at range_m that would
-    /// return the same power in clear air. It can be larger than 1 for stray light.
+    /// Received power, as the reflectivity of a surface at range_m in clear air. Stray
+    /// light can exceed 1.
     double reflectivity = 0.0;
     ReturnCause source = ReturnCause::nothing;
     double fall_mps = 0.0;  ///< speed at which rain or snow falls
-    /// Only for mirrored light: speed of the object along the mirrored ray, positive away
-    /// from the water.
+    /// mirrored light: speed of the object along the mirrored ray, positive away from the
+    /// water
     double away_mps = 0.0;
 };
 
-/// Returns the extinction coefficient alpha of the air in 1/m. Over R metres, the air
-/// transmits exp(-alpha R) of the light.
+/// Extinction coefficient alpha in 1/m: R metres of air transmit exp(-alpha R).
 double compute_extinction_coefficient(const Weather& weather);
 
-/// Returns the fraction of light that a smooth water surface reflects (Fresnel,
-/// unpolarised, n = 1.33).
-/// @param cosine  cosine of the angle of incidence in air, 0..1
+/// Fresnel, unpolarised, n = 1.33.
+/// @param cosine  of the angle of incidence in air, 0..1
 double compute_water_reflectance(double cosine);
-/// Returns the light that wet ground returns to the source, divided by the light that dry
-/// ground returns (Lekner and Dorf 1988). Light passes the water surface twice. The
-/// ground scatters light, and total reflection keeps a part of this light in the water
-/// film until it leaves or is absorbed. F_mean is the mean of F over the light of a
-/// diffuse surface:
+/// Light that wet ground returns, divided by that of dry ground (Lekner and Dorf 1988).
+/// Total reflection keeps a part of the scattered light in the water until it leaves or
+/// is absorbed. F_mean is the mean of F over the light of a diffuse surface:
 ///   (1 - F(cosine))^2 / (n^2 (1 - albedo p)),  p = 1 - (1 - F_mean) / n^2
-/// @param cosine  cosine of the angle of incidence in air, 0..1
+/// @param cosine  of the angle of incidence in air, 0..1
 /// @param surface_albedo_or_0  albedo of the dry ground, 0..1
 double compute_wet_reflectance_ratio(double cosine, double albedo);
-/// Returns the fraction of the ground that is covered by a film of water. The fraction is
-/// 1 if the water is at least 1 mm deep, which is the assumed texture depth of asphalt.
+/// 1 if the water is at least 1 mm deep, the assumed texture depth of asphalt.
 double compute_water_film_fraction(double water_depth_mm);
 
-/// Returns the noise of a receiver in sunlight: the standard deviation of the power after
-/// a matched filter, caused by shot noise. Three sources contribute radiance:
+/// Standard deviation of the power after a matched filter, by shot noise of three
+/// sources:
 /// - light scattered by a dusty window: 5 E (1 deg / angle)^2 1/sr;
 /// - light reflected by the surface: E / pi times its albedo, as if it faces the sun;
 /// - the solar disc, if it is in view: E divided by its solid angle.
-/// @param angle_to_sun_rad  angle between ray and sun
 /// @param surface_albedo_or_0  albedo of the surface that the ray hits; 0: none
 /// @param sees_sky  true if nothing is between the sensor and the sky
 double compute_sunlight_noise_power(const Sun& sun, const WeatherSensorProperties& sensor,
                                     double angle_to_sun_rad, double surface_albedo_or_0, bool sees_sky);
-/// Returns how often noise exceeds a threshold, per metre of range. Gaussian noise after
-/// a matched filter exceeds it exp(-threshold_sigmas^2 / 2) / (2 sqrt(3) tau) times per
-/// second, where tau is the pulse duration (Rice 1945; RCA Electro-Optics Handbook 1974).
-/// One metre of range corresponds to 2 / c seconds, where c is the speed of light.
-/// @param threshold_sigmas  threshold in standard deviations of the noise
+/// How often noise exceeds a threshold, per metre of range (2 / c seconds):
+/// exp(-threshold_sigmas^2 / 2) / (2 sqrt(3) tau) times per second, where tau is the
+/// pulse duration (Rice 1945; RCA Electro-Optics Handbook 1974).
+/// @param threshold_sigmas  in standard deviations of the noise
 double compute_false_returns_per_metre(const WeatherSensorProperties& sensor, double threshold_sigmas);
 
 struct WeatherInput;
 class RayWeatherEffect;
 
-/// A number in the text of a weather effect, for example the visibility in "fog=50".
+/// A number in the text of an effect, for example the visibility in "fog=50".
 struct WeatherParameter {
     double& (*of)(Weather&);  ///< the field of the number
     double least, most;
     double usual = 0.0;  ///< Default value if the text does not contain the number.
 };
 
-/// A row of the table of weather effects. The parser, the help texts, the viewer and the
-/// Python module read this table.
+/// Parser, help texts, viewer and Python module read this table.
 struct WeatherEffectEntry {
     std::string_view name;                      ///< word of the effect, for example "fog"
     std::string_view form;                      ///< word with its numbers, for example "fog=VISIBILITY_m"
@@ -178,21 +156,18 @@ struct WeatherEffectEntry {
     std::string_view examples;                  ///< texts that the viewer offers, separated by spaces
     std::span<const WeatherParameter> numbers;  ///< in the text, colons separate the numbers
     std::size_t n_required = 1;                 ///< number of numbers that the text must have
-    /// Returns the effect's contribution to the extinction coefficient of the air. Null
-    /// if the effect does not attenuate light.
+    /// Null if the effect does not attenuate light.
     double (*extinction)(const Weather&) = nullptr;
-    /// Creates the object that applies the effect to the rays of a scan. Returns null if
-    /// no ray has the effect.
+    /// Returns null if no ray has the effect.
     std::unique_ptr<RayWeatherEffect> (*prepare)(const WeatherInput&) = nullptr;
 
     bool is_effect_active_in_weather(const Weather& weather) const;  ///< true if the weather has the effect
 };
 
 extern const WeatherEffectEntry kFog, kRain, kSnow, kWetGround, kBlooming, kSunlight;
-/// All effects, in the order in which they act on a ray.
+/// In the order in which they act on a ray.
 inline constexpr const WeatherEffectEntry* kWeatherEffects[] = {&kFog,       &kRain,     &kSnow,
                                                                 &kWetGround, &kBlooming, &kSunlight};
-/// Returns a help text: the keyword of each weather effect and its meaning.
 std::string make_weather_help();
 
 }  // namespace relidar

@@ -103,10 +103,7 @@ std::vector<fs::path> list_asset_folders(const fs::path& folder) {
     std::vector<fs::path> assets = list_folder_entries(folder);
     std::erase_if(assets, [](const fs::path& entry) { return !does_path_exist(entry / kAssetFile); });
     if (assets.empty())
-        fail(
-            "{} contains no asset, expected folders with an {} each, as written by `relidar assets RUN --out "
-            "FOLDER`",
-            folder.string(), kAssetFile);
+        fail("{} contains no asset, expected folders with an {}", folder.string(), kAssetFile);
     return assets;
 }
 

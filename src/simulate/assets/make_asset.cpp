@@ -18,9 +18,7 @@
 namespace relidar {
 namespace {
 
-/// Returns the name of an asset, for example "car-3". It contains only letters, digits,
-/// dots, dashes and underscores, so it is a valid folder name on all systems. If an
-/// object has no class, the name is its track id.
+/// For example "car-3". Contains only characters that are valid in file names.
 std::string make_asset_name(const BoxTrack& box) {
     std::string name = box.category == kDiscoveredCategory ? box.id : box.category + "-" + box.id;
     for (char& c : name) {
@@ -31,8 +29,7 @@ std::string make_asset_name(const BoxTrack& box) {
     return name.front() == '.' ? "-" + name : name;
 }
 
-/// Returns true if a surfel can be visible. Its opacity must reach the blending
-/// threshold, and it must lie inside the box of its model.
+/// The opacity must reach the blending threshold, and the surfel must be in the box.
 bool can_surfel_be_visible(const Surfels& surfels, std::size_t surfel_index, const SurfelModel& model,
                            const ImageFormationModel& image_model) {
     const glm::vec3 outside = glm::abs(surfels.mean[surfel_index]) - model.half_size_m;
@@ -41,8 +38,6 @@ bool can_surfel_be_visible(const Surfels& surfels, std::size_t surfel_index, con
     return 1.0f / (1.0f + std::exp(-surfels.opacity_logit[surfel_index])) >= image_model.alpha_min;
 }
 
-/// Returns the frames of a log in which an actor is present, without their scans and
-/// without other actors.
 LidarSequence make_scanless_log_of_actor(const LidarSequence& full_log, const BoxTrack& actor_box) {
     LidarSequence sequence = copy_without_frames(full_log);
     sequence.boxes = {actor_box};
@@ -138,11 +133,9 @@ std::string get_track_name_of_only_actor(const TrainedRun& run) {
     for (const ModelInstance& instance : run.scene.instances)
         if (!instance.track.empty()) tracks.push_back(instance.track);
     if (tracks.size() == 1) return tracks.front();
-    fail<UsageError>(
-        "{} is a run with {} actors, expected an asset (a run with exactly one actor), or RUN#TRACK to "
-        "select an actor{}",
-        run.folder.string(), tracks.size(),
-        tracks.empty() ? "" : fmt::format(" whose track is one of {}", fmt::join(tracks, ", ")));
+    fail<UsageError>("{} is a run with {} actors, expected an asset, or RUN#TRACK{}", run.folder.string(),
+                     tracks.size(),
+                     tracks.empty() ? "" : fmt::format(" whose track is one of {}", fmt::join(tracks, ", ")));
 }
 
 }  // namespace relidar

@@ -10,8 +10,7 @@
 namespace relidar {
 namespace {
 
-// Sensor that replaces a LiDAR of the log if the rays of this LiDAR change from scan to
-// scan.
+// Replaces a LiDAR of the log whose rays change from scan to scan.
 constexpr const char* kStandIn = "HDL-64E";
 
 std::vector<SimulatedSensor> choose_sensor_per_lidar(const TrainedRun& run) {
@@ -25,7 +24,6 @@ std::vector<SimulatedSensor> choose_sensor_per_lidar(const TrainedRun& run) {
     return sensors;
 }
 
-/// Returns the training frames in which any actor is present.
 std::vector<int> list_training_frames_with_actors(const TrainedRun& run,
                                                   const std::vector<const BoxTrack*>& box_per_instance) {
     std::vector<int> positions;
@@ -45,24 +43,20 @@ void add_actor_returns_to_observations(const RenderedScan& scan, const TrainedRu
     for (std::size_t i = 0; i < scan.instance.size(); ++i) {
         const BoxTrack* box =
             scan.instance[i] > 0 ? box_per_instance[std::size_t(scan.instance[i])] : nullptr;
-        const float range_m = scan.median_range_m[i];
-        if (!box || !(range_m > 0.0f) || !(scan.image.drop_prob[i] < 0.5f)) continue;
-        const glm::dvec3 point_in_firing_m =
-            glm::dvec3(scan.image.origin[i]) + double(range_m) * glm::dvec3(scan.image.direction[i]);
+        if (!box || !(scan.median_range_m[i] > 0.0f) || !(scan.image.drop_prob[i] < 0.5f)) continue;
         const Pose box_from_world =
             inverse(box->world_from_box.interpolate_pose(scan.time_s + double(scan.time_offset_s[i])));
         const Pose& world_from_firing = firing.compute_firing_pose(i);
         const glm::dvec3 point_m =
-            box_from_world * (world_from_firing * point_in_firing_m - run.sequence.world_offset_m);
-        // Skips returns from surfels that were mirrored to fill an unobserved side of the
-        // actor.
+            box_from_world * (world_from_firing * scan.end_of<double>(i) - run.sequence.world_offset_m);
+        // The surfel was mirrored to fill an unobserved side.
         const SurfelModel& model = run.scene.models[run.scene.instances[std::size_t(scan.instance[i])].model];
         if (model.surface && model.surface->find_box_side_with_mirrored_surfels(point_m)) continue;
         ActorObservations& actor = observations_by_track[box->id];
         actor.points_m.push_back(glm::vec3(point_m));
         actor.directions.push_back(glm::vec3(box_from_world.rotation * world_from_firing.rotation *
                                              glm::dvec3(scan.image.direction[i])));
-        actor.nearest_m = std::min(actor.nearest_m, double(range_m));
+        actor.nearest_m = std::min(actor.nearest_m, double(scan.median_range_m[i]));
     }
 }
 
@@ -70,7 +64,6 @@ void add_actor_returns_to_observations(const RenderedScan& scan, const TrainedRu
 
 std::map<std::string, ActorObservations> collect_actor_observations(Device& device, const TrainedRun& run,
                                                                     const ProgressReporter& progress) {
-    // box of each instance; null for the background and for instances without a box
     std::vector<const BoxTrack*> boxes;
     for (const ModelInstance& instance : run.scene.instances)
         boxes.push_back(find_box_track_by_id(run.sequence, instance.track));

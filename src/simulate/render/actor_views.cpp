@@ -26,8 +26,7 @@ std::vector<FiredRay> compute_fired_rays_in_world(const SimulatedSweep& sweep) {
     return in_world;
 }
 
-/// Returns the indices of the rays that pass near a model. The test uses a sphere that
-/// contains the model during the full sweep.
+/// The test uses a sphere that contains the model during the full sweep.
 std::vector<std::size_t> find_rays_near_instance(const std::vector<FiredRay>& rays,
                                                  const SimulatedSweep& sweep,
                                                  const InstancePose& instance_pose, double model_radius_m) {
@@ -53,8 +52,8 @@ std::vector<std::size_t> find_rays_near_instance(const std::vector<FiredRay>& ra
 
 }  // namespace
 
-/// For each instance, counts the rays whose first hit is on this instance. A ray at the
-/// edge of an actor counts only if surfaces absorb at least half of its light.
+/// A ray at the edge of an actor counts only if surfaces absorb at least half of its
+/// light.
 std::vector<ActorVisibility> ScanRenderer::Impl::count_first_hits_per_instance(
     const RenderedScan& scan) const {
     std::vector<ActorVisibility> views;
@@ -67,9 +66,7 @@ std::vector<ActorVisibility> ScanRenderer::Impl::count_first_hits_per_instance(
     return views;
 }
 
-/// For each actor, traces the nearby rays in a scene that contains only this actor, and
-/// counts their hits. Then removes the background and actors without hits from
-/// `actor_views`.
+/// Traces the rays near each actor in a scene that contains only this actor.
 void ScanRenderer::Impl::count_unoccluded_hits_per_actor(const SimulatedSweep& sweep,
                                                          const ScanRenderPlan& plan,
                                                          std::vector<ActorVisibility>& actor_views) {

@@ -19,8 +19,6 @@
 namespace relidar {
 namespace {
 
-/// Copies the points that the device computed to `points`. Rounds their intensities to
-/// the steps of the sensor.
 void copy_device_points(std::span<const shared::ReturnedPoint> returned_points,
                         const IntensityScatterModel& intensity_scatter, LidarPoints& points) {
     constexpr std::size_t kTogether = 1 << 13;
@@ -45,7 +43,6 @@ void copy_device_points(std::span<const shared::ReturnedPoint> returned_points,
 
 }  // namespace
 
-/// Records GPU commands that render a sweep and compute its points.
 PendingPoints ScanRenderer::Impl::record_point_rendering_commands(const SimulatedSweep& sweep,
                                                                   const Pose& dataset_from_points,
                                                                   const ScanRenderPlan& plan,
@@ -83,7 +80,6 @@ PendingPoints ScanRenderer::Impl::record_point_rendering_commands(const Simulate
     throw;
 }
 
-/// Waits for the points of a requested scan.
 RenderedPoints ScanRenderer::Impl::collect_points(PendingPoints& pending_points,
                                                   LidarPoints reusable_memory) {
     if (pending_points.ready) return std::move(*pending_points.ready);
@@ -115,8 +111,6 @@ RenderedPoints ScanRenderer::Impl::collect_points(PendingPoints& pending_points,
     return result;
 }
 
-/// Waits until all submitted scans are finished. Stores their points until
-/// wait_for_points() is called.
 void ScanRenderer::Impl::finish_pending_scans() {
     for (PendingPoints& scan : pending) scan.ready = collect_points(scan);
 }
@@ -127,8 +121,7 @@ void ScanRenderer::submit_points(const SimulatedSensor& sensor, const ScanReques
     Impl& s = *impl_;
     if (s.pending.size() >= kScansInFlight)
         fail<UsageError>(
-            "cannot request the points of another scan: {} requested scans have not been read yet, expected "
-            "fewer than {}; call wait_for_points() first",
+            "{} requested scans have not been read yet, expected fewer than {}: call wait_for_points()",
             s.pending.size(), kScansInFlight);
     const SimulatedSweep sweep = s.sweeps.make_sweep_of_request(sensor, request);
     const Pose dataset_from_points = request.dataset_from_sensor.interpolate_pose(point_frame_time_s);
@@ -153,8 +146,6 @@ RenderedPoints ScanRenderer::wait_for_points(LidarPoints memory) {
     return s.collect_points(first, std::move(memory));
 }
 
-/// Waits until the device no longer uses the arrays of this object. First submits
-/// commands that are only recorded.
 void ScanRenderer::Impl::wait_for_device() noexcept {
     try {
         lanes->submit_batched_scan_commands();

@@ -11,8 +11,6 @@
 namespace relidar {
 namespace {
 
-/// Returns the unit normal of the surface that each ray hit. The normal is in the
-/// sensor's frame at the firing time of the ray.
 ChannelValues make_normal_channel(const RenderedRayValues& rendering, const RenderedScan& scan) {
     std::vector<glm::vec3> normal(rendering.size(), glm::vec3(0.0f));
     FiringPoseInterpolator firing(scan);
@@ -52,8 +50,6 @@ ChannelValues make_radial_velocity_channel(const RenderedScan& scan, const Chann
     return velocity;
 }
 
-/// Returns the class of the surface that each ray hits. For the background, looks up the
-/// class at the point at the median range.
 ChannelValues make_class_channel(const RenderedScan& scan, const ChannelInputs& context) {
     std::vector<std::int32_t> of_rays(scan.instance.size(), -1);
     parallel_for_in_blocks(of_rays.size(), [&](std::size_t ray) {
@@ -61,10 +57,8 @@ ChannelValues make_class_channel(const RenderedScan& scan, const ChannelInputs& 
         if (instance < 0) return;
         of_rays[ray] = context.classes[std::size_t(instance)];
         if (of_rays[ray] != 0 || !context.background) return;
-        const glm::dvec3 point_m = glm::dvec3(scan.image.origin[ray]) +
-                                   double(scan.median_range_m[ray]) * glm::dvec3(scan.image.direction[ray]);
         of_rays[ray] = std::int32_t(context.background->find_class_of_nearest_cell(
-            scan.get_firing_pose(ray) * point_m - context.log.world_offset_m));
+            scan.get_firing_pose(ray) * scan.end_of<double>(ray) - context.log.world_offset_m));
     });
     return of_rays;
 }
@@ -77,8 +71,7 @@ ChannelValues make_observed_fraction_channel(const RenderedScan& scan, const Cha
     return compute_observed_path_fractions(scan, rays, log);
 }
 
-// Returns "surface" as the cause of each return. If the scan has weather,
-// add_weather_to_scan() overwrites these values later.
+// add_weather_to_scan() overwrites the causes later.
 ChannelValues make_return_cause_channel_without_weather(const RenderedScan& scan, const ChannelInputs&) {
     return std::vector<std::int32_t>(scan.median_range_m.size(), std::int32_t(ReturnCause::surface));
 }
@@ -87,8 +80,7 @@ ChannelValues make_surfel_drop_probability_channel(const RenderedScan& scan, con
     return scan.image.drop_prob;
 }
 
-/// Describes how an optional channel is computed. Exactly one of the three functions is
-/// set.
+/// Exactly one of the three functions is set.
 struct ChannelComputation {
     std::string_view name;
     ChannelValues (*of_rendering)(const RenderedRayValues&, const RenderedScan&);
@@ -108,8 +100,6 @@ constexpr ChannelComputation kMakers[] = {
 
 ChannelComputation find_channel_computation(const ChannelInfo& channel) {
     const auto* maker = std::ranges::find(kMakers, channel.name, &ChannelComputation::name);
-    // A channel without a row in the table gets no values. The test
-    // tests/simulate/render/channels_test.cpp checks that every channel has a row.
     return maker == std::end(kMakers) ? ChannelComputation{} : *maker;
 }
 
@@ -121,8 +111,8 @@ static_assert(1 + int(ObjectKind::vehicle) == int(SurfaceClass::vehicle) &&
 std::vector<std::int32_t> compute_instance_classes(const Scene& scene, const LidarSequence& sequence) {
     std::vector<std::int32_t> classes;
     for (const ModelInstance& instance : scene.instances) {
-        // A copied actor has no box in the log. Uses the box of the original actor
-        // instead. The id of this box is the name of the actor's model.
+        // A copied actor has no box. The name of its model is the id of the original's
+        // box.
         const BoxTrack* box = find_box_track_by_id(sequence, instance.track);
         if (!box) box = find_box_track_by_id(sequence, scene.models[instance.model].name);
         const ObjectKind kind = box ? parse_object_kind(box->category) : ObjectKind::other;

@@ -19,7 +19,6 @@ namespace relidar {
 
 struct RenderedRayValues;
 
-/// Data from which the channels of a scan are computed.
 struct ChannelInputs {
     LogObservedSpace log;
     MotionDuringScan motion;
@@ -29,27 +28,18 @@ struct ChannelInputs {
     const SurfaceClassLookup* background = nullptr;
 };
 
-/// A ray hits nothing if the blending weights of its surfels sum up to less than this
-/// value.
+/// A ray whose blending weights sum up to less hits nothing.
 inline constexpr float kMinWeight = 1e-3f;
-/// Name of the channel "incidence". Ray-drop networks also read this channel.
 inline constexpr const char* kIncidence = "incidence";
 
-/// Returns the class of each instance: 0 for the background, otherwise 1 + ObjectKind. An
-/// actor without a box has the kind `other`.
-/// @return [instances]
+/// 0 for the background, otherwise 1 + ObjectKind. [instances]
 std::vector<std::int32_t> compute_instance_classes(const Scene& scene, const LidarSequence& sequence);
-/// Returns true if any of the channels needs the full rendering result, for example the
-/// normals.
 bool is_full_rendering_needed(const std::vector<ChannelInfo>& channels);
-/// Adds the optional channels that are computed for each traced ray.
-/// @param scan scan of these rays; its image, poses and times must be set
 /// @param rendering may be empty if is_full_rendering_needed() returns false
 void add_traced_ray_channels(RenderedScan& scan, std::span<const shared::MeasuredRay> measured_rays,
                              const RenderedRayValues& rendering, const std::vector<ChannelInfo>& channels);
-/// Adds the optional channels that are computed for each beam. A beam can consist of
-/// several traced sub-rays. Call this function before a network or random sampling
-/// changes the drop probabilities. Leaves out channels without values.
+/// Must run before a network or random sampling changes the drop probabilities. Leaves
+/// out channels without values.
 void add_beam_channels(RenderedScan& scan, const ChannelInputs& context,
                        const std::vector<ChannelInfo>& channels);
 

@@ -13,8 +13,8 @@
 
 namespace relidar {
 
-/// Calls visit(ChannelInfo, source values, target values) for the channels that every
-/// scan has, for example range. Leaves out time and ring, which belong to the rays.
+/// Calls visit(ChannelInfo, source values, target values) for the channels of every scan,
+/// except time and ring.
 template <class Visit>
 void for_each_basic_channel_pair(const RenderedScan& source, RenderedScan& target, Visit&& visit) {
     const BasicChannels& basic = get_basic_channels();
@@ -27,10 +27,8 @@ void for_each_basic_channel_pair(const RenderedScan& source, RenderedScan& targe
     visit(basic.instance, source.instance, target.instance);
 }
 
-/// Calls visit(ChannelInfo, source values, target values) for each channel: first for the
-/// channels that every scan has, then for the optional channels (RenderedScan::channels).
-/// @param target must have the channels of `source` in the same order;
-/// make_scan_without_measurements() creates such a scan
+/// Also visits the optional channels.
+/// @param target must have the channels of `source` in the same order
 template <class Visit>
 void for_each_channel_pair(const RenderedScan& source, RenderedScan& target, Visit&& visit) {
     for_each_basic_channel_pair(source, target, visit);

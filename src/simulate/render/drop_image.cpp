@@ -13,13 +13,11 @@
 namespace relidar {
 namespace {
 
-// Minimum value of the drop probability p and of 1 - p. Limits the logits to -9.2 ...
-// 9.2.
+// Limits the logits to -9.2 ... 9.2.
 constexpr float kLeastProbability = 1e-4f;
 
-/// Returns a function that computes one input value of the ray-drop network for a ray,
-/// for example its intensity. `channel_index` selects the value (RELIDAR_DROP_*). The
-/// kernel simulate/render/drop_channels computes equal values.
+/// Value RELIDAR_DROP_* of a ray. The kernel simulate/render/drop_channels computes equal
+/// values.
 std::function<float(std::size_t)> make_channel_value_function(const RenderedScan& scan,
                                                               std::uint32_t channel_index,
                                                               const glm::vec3& origin_m) {

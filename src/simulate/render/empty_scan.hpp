@@ -6,10 +6,7 @@
 
 namespace relidar {
 
-/// Returns a scan with the given rays, but without measurements. Its channels have no
-/// values yet.
-/// @param metadata_source another scan of the same sweep, from which times, poses and
-/// channel names are copied; optional
+/// @param metadata_source scan of the same sweep with times, poses and channel names
 inline RenderedScan make_scan_without_measurements(const RayTable& rays,
                                                    const RenderedScan& metadata_source = {}) {
     RenderedScan scan;

@@ -13,18 +13,16 @@
 namespace relidar {
 namespace {
 
-// A laser beam is simulated by several sub-rays. Means over sub-rays are weighted by
-// intensity, with at least this weight.
+// Minimum weight of a sub-ray in means, which are weighted by intensity.
 constexpr float kDarkest = 1e-3f;
 
-/// Sub-rays of a beam that together form one return.
 struct SubRayReturn {
     std::vector<std::size_t> parts;  ///< indices of the sub-rays in their scan, sorted by range
     float light = 0.0f;              ///< sum of the intensities
 };
 
-/// Returns true if at least five sub-rays of a beam hit the same plane, even at different
-/// ranges. On a plane, 1 / range is a linear function of the sub-ray offsets.
+/// True if at least five sub-rays hit the same plane. On a plane, 1 / range is a linear
+/// function of the sub-ray offsets.
 bool are_sub_rays_on_one_plane(const std::vector<std::size_t>& sub_ray_indices,
                                const std::vector<float>& ranges_m, std::size_t first_sub_ray,
                                const std::vector<glm::dvec2>& sub_ray_offsets, double range_tolerance_m) {
@@ -47,12 +45,10 @@ bool are_sub_rays_on_one_plane(const std::vector<std::size_t>& sub_ray_indices,
     });
 }
 
-/// Joins consecutive groups of sub-rays that hit the same plane.
 void join_coplanar_groups(std::vector<SubRayReturn>& groups, const std::vector<float>& ranges_m,
                           std::size_t first_sub_ray, const std::vector<glm::dvec2>& sub_ray_offsets,
                           double range_tolerance_m) {
-    // First tries to join all groups of sub-rays of the beam, then shorter and shorter
-    // sequences of groups.
+    // Tries the longest sequences first.
     for (std::size_t length = groups.size(); length >= 2; --length) {
         for (std::size_t begin = 0; begin + length <= groups.size(); ++begin) {
             SubRayReturn joined;
@@ -89,8 +85,6 @@ std::vector<SubRayReturn> group_sub_rays_into_returns(const RenderedScan& scan, 
     return groups;
 }
 
-/// Returns the mean of `values` over some sub-rays of a beam, weighted by their
-/// intensities.
 float compute_weighted_group_mean(const SubRayReturn& group, const std::vector<float>& values,
                                   const RenderedScan& scan) {
     double sum = 0.0;
@@ -105,15 +99,12 @@ float sum_over_group(const SubRayReturn& group, const std::vector<float>& values
     return sum;
 }
 
-/// Returns the mean of `count` consecutive values, starting at index `first_index`.
 float compute_mean_of_slice(const std::vector<float>& values, std::size_t first_index, int count) {
     float sum = 0.0f;
     for (std::size_t i = first_index; i < first_index + std::size_t(count); ++i) sum += values[i];
     return sum / static_cast<float>(count);
 }
 
-/// Returns the group that is the second return of a beam, or null if there is no second
-/// return. A group is a set of sub-rays of the beam that hit the same surface.
 const SubRayReturn* find_second_return(const std::vector<SubRayReturn>& groups,
                                        const SubRayReturn& strongest_group) {
     const SubRayReturn* second = nullptr;
@@ -127,7 +118,6 @@ const SubRayReturn* find_second_return(const std::vector<SubRayReturn>& groups,
                                                                                                  : nullptr;
 }
 
-/// Joins the sub-rays of each beam into returns.
 class SubRayMerger {
 public:
     SubRayMerger(const RenderedScan& parts, const RayTable& rays, const SensorConfig& config)
@@ -160,9 +150,7 @@ public:
                                                                 : sum_over_group(strongest, of_parts) /
                                                                       static_cast<float>(n));
                 }
-                // Copies the value of the sub-ray nearest to the centre. This sub-ray has
-                // the smallest index, because sub-rays are ordered from the centre
-                // outwards.
+                // The first sub-ray is nearest to the centre.
                 of_rays.push_back(of_parts[std::ranges::min(strongest.parts)]);
             });
         if (scan_.second_returns.empty()) return;
@@ -193,7 +181,6 @@ RayTable split_rays_into_sub_rays(const RayTable& rays, int sub_rays_per_ray, do
     parts.columns = rays.columns * sub_rays_per_ray;
     for (std::size_t i = 0; i < rays.size(); ++i) {
         const glm::dvec3 direction(rays.direction[i]);
-        // `left` and `up` are unit vectors, perpendicular to the ray and to each other.
         const glm::dvec3 helper = std::abs(direction.z) < 0.9 ? glm::dvec3(0, 0, 1) : glm::dvec3(1, 0, 0);
         const glm::dvec3 left = glm::normalize(glm::cross(helper, direction));
         const glm::dvec3 up = glm::cross(direction, left);

@@ -8,10 +8,7 @@
 
 namespace relidar {
 
-/// Splits each ray into `sub_rays_per_ray` sub-rays, in the order of
-/// make_footprint_offsets(). A sub-ray has the origin, time and channel of its ray.
 /// @param sub_rays_per_ray 1, 5 or 9; with any other number, the sub-rays form a spiral
-/// that starts next to the centre
 /// @param divergence_rad full divergence of all rays; if 0, each ray has its own
 /// divergence
 RayTable split_rays_into_sub_rays(const RayTable& rays, int sub_rays_per_ray, double divergence_rad);
@@ -37,16 +34,12 @@ inline constexpr double kSecondReturnShare = 0.1;
 RenderedScan join_sub_rays_to_beam_returns(const RenderedScan& sub_ray_scan, const RayTable& beam_rays,
                                            const SensorConfig& config);
 
-/// Number of sub-rays of a beam that hits several surfaces. A surface with at least a
-/// tenth of the strongest intensity causes a second return. With only nine sub-rays, one
-/// of them would be enough, even if the surface fills a tiny part of the beam.
+/// Sub-rays of a beam that hits several surfaces. With only nine, one sub-ray could cause
+/// a second return, even if the surface fills a tiny part of the beam.
 inline constexpr int kEdgeParts = 40;
 
-/// Returns the indices of the beams that hit several surfaces, so that their sub-rays
-/// form more than one return.
 std::vector<std::size_t> find_multi_surface_beams(const RenderedScan& sub_ray_scan, const RayTable& beam_rays,
                                                   const SensorConfig& config);
-/// Replaces some rays of a scan by the rays of a more exact scan.
 /// @param ray_indices [rays of `replacement_scan`] indices of the replaced rays
 void replace_scan_rays(RenderedScan& scan, const std::vector<std::size_t>& ray_indices,
                        const RenderedScan& replacement_scan);

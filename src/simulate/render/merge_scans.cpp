@@ -19,8 +19,6 @@ void append_elements(std::vector<T>& target, const std::vector<T>& source) {
     target.insert(target.end(), source.begin(), source.end());
 }
 
-/// Adds the channels of a scan to the merged scan. The rays that are already merged have
-/// no values in a new channel.
 /// @throws UsageError if a channel has a different type in two scans
 void add_missing_channels(RenderedScan& merged_scan, const RenderedScan& scan) {
     for (const ScanChannel& channel : copy_channels_without_values(scan.channels)) {
@@ -42,7 +40,6 @@ void add_missing_channels(RenderedScan& merged_scan, const RenderedScan& scan) {
     }
 }
 
-/// Appends the values that a channel has for second returns.
 void append_second_return_values(ScanChannel& merged_channel, const ScanChannel& source_channel,
                                  std::size_t first_ray) {
     const auto add = [&]<class T>(const std::vector<T>& values) {
@@ -54,8 +51,6 @@ void append_second_return_values(ScanChannel& merged_channel, const ScanChannel&
     std::visit(add, source_channel.second);
 }
 
-/// Combines the poses of a sensor rig (`rig_scan`) with the firing times of one of its
-/// sensors (`sensor_scan`). Used to interpolate the rig's pose at each firing time.
 RenderedScan combine_rig_poses_with_firing_times(const RenderedScan& rig_scan,
                                                  const RenderedScan& sensor_scan) {
     RenderedScan rig;
@@ -68,13 +63,11 @@ RenderedScan combine_rig_poses_with_firing_times(const RenderedScan& rig_scan,
     return rig;
 }
 
-/// Computes the pose of a sensor relative to the rig (the group of merged sensors) at the
-/// firing time of a ray. Poses of rig and sensor are interpolated separately, so the
-/// relative pose is not exactly constant.
+/// Poses of rig and sensor are interpolated separately, so the pose of the sensor
+/// relative to the rig is not exactly constant.
 class RigPoseInterpolator {
 public:
-    /// @param merged merged scan, which has the poses of the rig
-    /// @param scan scan of the sensor; must outlive this object
+    /// @param scan must outlive this object
     RigPoseInterpolator(const RenderedScan& merged, const RenderedScan& scan)
         : rig_(combine_rig_poses_with_firing_times(merged, scan)),
           world_from_rig_(rig_),
@@ -91,14 +84,11 @@ private:
     FiringPoseInterpolator world_from_rig_, world_from_firing_;
 };
 
-/// Appends the values of all channels of a scan.
-/// @param first_ray_index index of the scan's first ray in the merged scan
 void append_channels_in_rig_frame(RenderedScan& merged_scan, const RenderedScan& scan,
                                   RigPoseInterpolator& rig_poses, std::size_t first_ray_index) {
     const std::size_t n = scan.image.range_m.size();
     for (ScanChannel& channel : merged_scan.channels) {
-        // Copies the reference, because lambdas cannot capture structured bindings in
-        // clang 14.
+        // clang 14 cannot capture structured bindings in lambdas.
         const ChannelInfo& info = channel.info;
         const auto add = [&]<class T>(std::vector<T>& all) {
             const std::vector<T>* scan_values = find_channel_values<T>(scan.channels, info.name);
@@ -117,8 +107,6 @@ void append_channels_in_rig_frame(RenderedScan& merged_scan, const RenderedScan&
     }
 }
 
-/// Extends the lists of second returns to all rays. For rays without a second return,
-/// range and intensity are 0, and the channels have no value.
 void pad_second_returns_to_all_rays(RenderedScan& merged_scan) {
     const std::size_t n = merged_scan.image.range_m.size();
     for (AdditionalReturns& second : merged_scan.second_returns) {
@@ -134,8 +122,6 @@ void pad_second_returns_to_all_rays(RenderedScan& merged_scan) {
                 channel.second);
 }
 
-/// Adds the ray counts of a scan to the merged scan: rays per actor, and rays per
-/// unobserved side of an actor.
 void merge_actor_ray_counts(RenderedScan& merged_scan, const RenderedScan& scan) {
     for (const ActorVisibility& view : scan.actor_views) {
         const auto existing_view =
@@ -157,8 +143,6 @@ void merge_actor_ray_counts(RenderedScan& merged_scan, const RenderedScan& scan)
     }
 }
 
-/// Appends the rays of a scan to the merged scan. Each ray is transformed into the frame
-/// of the rig at the firing time of the ray.
 /// @param first_ring number of this scan's ring 0 in the merged scan
 void append_rays_in_rig_frame(RenderedScan& merged_scan, const RenderedScan& scan,
                               RigPoseInterpolator& rig_poses, std::size_t first_ring) {
@@ -176,10 +160,8 @@ void append_rays_in_rig_frame(RenderedScan& merged_scan, const RenderedScan& sca
 
 RenderedScan merge_scans(const std::vector<RenderedScan>& scans, const std::vector<Pose>& rig_from_sensor) {
     if (scans.empty() || scans.size() != rig_from_sensor.size())
-        fail<UsageError>(
-            "cannot merge scans: found {} scans, but the poses of {} sensors, expected one pose for each "
-            "scan",
-            scans.size(), rig_from_sensor.size());
+        fail<UsageError>("cannot merge {} scans: found the poses of {} sensors", scans.size(),
+                         rig_from_sensor.size());
     RenderedScan merged;
     const Pose sensor_from_rig = inverse(rig_from_sensor[0]);
     merged.world_from_sensor = scans[0].world_from_sensor * sensor_from_rig;

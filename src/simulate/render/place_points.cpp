@@ -16,7 +16,6 @@ namespace {
 
 constexpr std::size_t kPointsTogether = 4096;
 
-/// Index of a return that becomes a point (LidarPoints::return_number).
 struct RayReturnIndex {
     std::size_t ray;
     std::uint8_t number;
@@ -38,8 +37,7 @@ std::vector<RayReturnIndex> list_returns_to_output(const RenderedScan& scan,
     return returns;
 }
 
-/// Returns the poses of the sensor during a scan, in the frame of the points. Returns no
-/// poses if the points are in the sensor's frame.
+/// Returns no poses if the points are in the sensor's frame.
 std::vector<shared::SensorPose> list_sensor_poses_in_points_frame(
     const RenderedScan& scan, const std::optional<Pose>& dataset_from_points) {
     if (!dataset_from_points || scan.time_offset_s.empty()) return {};
@@ -50,8 +48,7 @@ std::vector<shared::SensorPose> list_sensor_poses_in_points_frame(
                                            double(first_s), double(last_s));
 }
 
-/// Returns the last pose before a time. Must select the same pose as
-/// shaders/simulate/render/sensor_way.glsl.
+/// Must select the same pose as shaders/simulate/render/sensor_way.glsl.
 const shared::SensorPose& find_pose_before(const std::vector<shared::SensorPose>& poses,
                                            float time_offset_s) {
     std::size_t k = 0, end = std::max<std::size_t>(poses.size(), 2) - 1;

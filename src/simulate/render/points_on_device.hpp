@@ -18,14 +18,10 @@ namespace relidar {
 
 class DeviceSensorRays;
 
-/// Number of sampled rays for estimating how many rays pass through space that the log
-/// did not observe. The error of the estimate is one or two percent.
+/// Sample for the share of unobserved rays, with an error of one or two percent.
 inline constexpr std::size_t kSampledRays = 1024;
 
-/// Options for computing the points of a scan.
 struct PointComputeOptions {
-    /// Poses of the sensor in the frame of the points. If the sensor does not move, there
-    /// is only one pose.
     const PoseTrack& points_from_sensor;
     double time_s;  ///< time of the sweep
     bool of_image;  ///< true: points use the range of the image; false: the median range
@@ -34,7 +30,6 @@ struct PointComputeOptions {
 
 class DevicePointComputer {
 public:
-    /// Host buffers into which the points of one scan are copied.
     struct PointReadbackSlot {
         std::optional<ReadbackBuffer> points = {};
         ReadbackBuffer count, sampled_ranges, capped;
@@ -45,29 +40,22 @@ public:
     };
 
     explicit DevicePointComputer(Device& device);
-    /// Records GPU commands that compute the points of a measured scan and copy them to
-    /// the host.
     /// @param truncated_ray_count device counter of rays whose search for hits was
     /// stopped by its limit
-    /// @return host buffers that receive the points; reused after the caller has released
-    /// the pointer
+    /// @return host buffers; reused after the caller has released the pointer
     std::shared_ptr<PointReadbackSlot> record_point_computation_and_readback(
         Stream& stream, const DeviceSensorRays& rays, const PointComputeOptions& options,
         const Array<std::uint32_t>& truncated_ray_count);
 
     struct GatheredPoints {
         std::span<const shared::ReturnedPoint> points;
-        /// [count_evenly_sampled_rays()] distance to the surface in metres, for an evenly
-        /// spaced sample of the rays
+        /// [count_evenly_sampled_rays()] distance to the surface in metres
         std::span<const float> requested_m;
         std::uint32_t n_capped;
     };
-    /// Waits until the points are copied to these host buffers.
     /// @return valid until the buffers are reused
     static GatheredPoints wait_for_copied_points(Stream& stream, PointReadbackSlot& host_buffers);
-    /// Returns the ray index of a sample. The samples are evenly spaced. For each sample,
-    /// the host receives the distance to the surface, even if the ray has no return.
-    /// @param sample_index index of the sample, below count_evenly_sampled_rays()
+    /// The host receives the distances of these rays even if they have no return.
     static std::size_t get_evenly_sampled_ray_index(std::size_t sample_index, std::size_t n_rays) {
         return sample_index * n_rays / count_evenly_sampled_rays(n_rays);
     }

@@ -31,23 +31,19 @@ namespace relidar {
 namespace {
 
 constexpr int kSideBySide = 4;  // number of scans that a GPU renders in parallel
-// Reflectivity of surfaces that are visible at the maximum range, as in the data sheets
-// of the HDL-64E and of the OS1.
+// Visible at the maximum range, as in the data sheets of the HDL-64E and of the OS1.
 constexpr double kSpecifiedReflectivity = 0.8;
-// Lowest reflectivity that is visible at short range. The value is an assumption. It
-// corresponds to receivers that collect a constant share of light within 6 to 8 m.
+// Visible at short range: an assumption. Corresponds to receivers that collect a constant
+// share of light within 6 to 8 m.
 constexpr double kNearReflectivity = 0.0025;
-// Power of the weakest noise that a sensor detects: half a step of an 8-bit intensity at
-// 80 m. The limit of stray light belongs to the constants of bloom, which were fitted to
-// KITTI's intensities.
+// Noise: half a step of an 8-bit intensity at 80 m. The limit of stray light belongs to
+// the constants of bloom, which were fitted to KITTI's intensities.
 constexpr double kNoisePower = 0.5 / 255.0 / (80.0 * 80.0), kStrayPower = 0.005 / (80.0 * 80.0);
 
 void require_normals_for_channel(const Config& config, const ChannelInfo& channel, const char* error_prefix) {
     if (!channel.needs_normals || get_primitive_properties(config.image.primitive).has_normals) return;
-    fail<UsageError>(
-        "{}: the channel {} needs surface normals, but a scene that was trained with image.primitive={} has "
-        "none; use a run with image.primitive=surfel, or other channels",
-        error_prefix, channel.name, get_primitive_properties(config.image.primitive).name);
+    fail<UsageError>("{}: the channel {} needs normals, which image.primitive={} has not; expected surfel",
+                     error_prefix, channel.name, get_primitive_properties(config.image.primitive).name);
 }
 
 TraceOptions make_trace_options(const Config& config) {
@@ -74,17 +70,13 @@ void copy_measurements_to_scan(RenderedScan& scan, std::span<const shared::Measu
     }
 }
 
-/// Replaces the drop probabilities of a scan by the output of a network. Keeps a
-/// probability of 1, because such a ray hits nothing that the sensor can measure.
+/// Keeps a probability of 1: such a ray hits nothing that the sensor can measure.
 void replace_drop_probabilities(RenderedScan& scan, std::span<const float> network_drop_probabilities) {
     std::vector<float>& drop_prob = scan.image.drop_prob;
     for (std::size_t i = 0; i < drop_prob.size(); ++i)
         if (drop_prob[i] < 1.0f) drop_prob[i] = network_drop_probabilities[i];
 }
 
-/// Returns the properties of a sensor that determine how weather affects its scans.
-/// @param rays rays of the sensor, which define the beam divergence
-/// @param limits range limits of the sensor
 WeatherSensorProperties make_sensor_properties_for_weather(const Config& config, const RayTable& rays,
                                                            const RangeLimits& limits,
                                                            const std::string& sensor_name) {
@@ -147,7 +139,6 @@ LogObservedSpace ScanRenderer::Impl::get_space_observed_in_log(const SimulatedSe
             std::min(sensor.limits.max_m, double(config.dataset.max_range_m))};
 }
 
-/// Returns the data from which the channels of a scan are computed.
 ChannelInputs ScanRenderer::Impl::make_channel_inputs(const SimulatedSweep& sweep) {
     ChannelInputs context{get_space_observed_in_log(sweep.sensor),
                           {sweeps.get_log().get_world_from_sensor(sweep.sensor.lidar), sweep.instances}};
@@ -158,20 +149,16 @@ ChannelInputs ScanRenderer::Impl::make_channel_inputs(const SimulatedSweep& swee
     return context;
 }
 
-/// Loads the part of the scene around the sensor, and moves the instances to their poses.
 void ScanRenderer::Impl::prepare_scene_for_sweep(const ParallelScanResources& resources,
                                                  const SimulatedSweep& sweep) {
-    // Waits for pending scans, because loading blocks of the scene can replace the
-    // renderer that these scans use.
+    // Loading blocks can replace the renderer that pending scans use.
     if (!sweeps.get_scene_layout().blocks.empty()) finish_pending_scans();
     const glm::vec3 sensor_m(sweep.pose.translation);
     scene.load_blocks_near_sensor(sensor_m, sweeps.get_range_limits(sweep.sensor).max_m);
     lanes->get_renderer(resources).record_instance_poses_and_view(sweep.instances, sensor_m);
 }
 
-/// Records GPU commands that trace rays and compute the measurements. Call
-/// prepare_scene_for_sweep() before.
-/// @param with_drop_network true to run the ray-drop network as well
+/// Call prepare_scene_for_sweep() before.
 std::shared_ptr<DeviceSensorRays> ScanRenderer::Impl::record_trace_commands(ParallelScanResources& lane,
                                                                             const SimulatedSweep& sweep,
                                                                             const RayTable& rays,
@@ -197,8 +184,6 @@ std::shared_ptr<DeviceSensorRays> ScanRenderer::Impl::record_trace_commands(Para
     throw;
 }
 
-/// Traces rays and waits for the result.
-/// @param with_drop_network true to run the ray-drop network as well
 ScanRenderer::Impl::TracedScan ScanRenderer::Impl::trace_rays(const SimulatedSweep& sweep,
                                                               const RayTable& ray_table,
                                                               bool with_drop_network) {
@@ -217,8 +202,7 @@ ScanRenderer::Impl::TracedScan ScanRenderer::Impl::trace_rays(const SimulatedSwe
     scan.track = add_offset_to_track_positions(sweep.world_from_sensor, offset_m);
     scan.world_from_sensor = {sweep.pose.rotation, sweep.pose.translation + offset_m};
     scan.time_s = sweep.time_s;
-    // Ray-drop networks read the channel "incidence", so this channel is computed even if
-    // it is not requested.
+    // Ray-drop networks read this channel.
     std::vector<ChannelInfo> channels = settings.channels;
     if (lanes->get_drop_network() && !is_optional_channel_enabled(kIncidence))
         channels.push_back(parse_channel_names(kIncidence).front());
@@ -229,8 +213,7 @@ ScanRenderer::Impl::TracedScan ScanRenderer::Impl::trace_rays(const SimulatedSwe
                                                : std::span<const float>{}};
 }
 
-/// Traces several sub-rays for each beam and joins them to returns. If a beam hits
-/// several surfaces, traces the beam again with more sub-rays.
+/// If a beam hits several surfaces, traces it again with more sub-rays.
 RenderedScan ScanRenderer::Impl::trace_beams_with_sub_rays(const SimulatedSweep& sweep,
                                                            SensorConfig beam_config) {
     const RayTable& rays = sweep.get_rays();
@@ -247,7 +230,6 @@ RenderedScan ScanRenderer::Impl::trace_beams_with_sub_rays(const SimulatedSweep&
             scan, edges,
             join_sub_rays_to_beam_returns(trace_rays(sweep, split(edge_rays)).scan, edge_rays, beam_config));
     }
-    // The sensor does not report beams whose range is outside its limits.
     const RangeLimits& limits = sweep.sensor.limits;
     for (std::size_t i = 0; i < scan.image.drop_prob.size(); ++i)
         if (!limits.contains(scan.image.range_m[i]) || !limits.contains(scan.median_range_m[i]))
@@ -255,7 +237,6 @@ RenderedScan ScanRenderer::Impl::trace_beams_with_sub_rays(const SimulatedSweep&
     return scan;
 }
 
-/// Runs the ray-drop network on the host.
 void ScanRenderer::Impl::correct_drop_probabilities_with_network(RenderedScan& scan) {
     replace_drop_probabilities(
         scan, lanes->get_or_create_ray_drop_refiner(lanes->get_unbatched_scan_resources())
@@ -263,8 +244,6 @@ void ScanRenderer::Impl::correct_drop_probabilities_with_network(RenderedScan& s
                       make_network_input_image(scan, lanes->get_drop_network()->inputs, first_origin_m)));
 }
 
-/// Converts expected values to random measurements: draws returns, adds weather, and
-/// rounds intensities to the steps of the sensor.
 void ScanRenderer::Impl::apply_noise_and_weather(RenderedScan& scan, const SimulatedSweep& sweep,
                                                  std::optional<std::uint64_t> noise_seed) {
     const SimulatedSensor& sensor = sweep.sensor;
@@ -299,7 +278,6 @@ void ScanRenderer::Impl::apply_noise_and_weather(RenderedScan& scan, const Simul
         for (float& intensity : echo.intensity) intensity = scatter.quantise_intensity(intensity);
 }
 
-/// Renders the scan of a sweep, from tracing the rays to weather and rounding.
 RenderedScan ScanRenderer::Impl::render_sweep(const SimulatedSweep& sweep,
                                               std::optional<std::uint64_t> noise_seed) {
     using Network = ScanRenderPlan::RayDropStage;
@@ -318,8 +296,7 @@ RenderedScan ScanRenderer::Impl::render_sweep(const SimulatedSweep& sweep,
     if (plan.network == Network::cells) scan = project_points_into_grid_image(scan, *sensor.grid);
     if (plan.network == Network::device) replace_drop_probabilities(scan, drops);
     else if (plan.network != Network::none) correct_drop_probabilities_with_network(scan);
-    // count_unoccluded_hits_per_actor() traces more rays, which invalidates the drop
-    // probabilities in `drops`.
+    // count_unoccluded_hits_per_actor() invalidates the values in `drops`.
     if (settings.has_views) count_unoccluded_hits_per_actor(sweep, plan, views);
     if (!is_optional_channel_enabled(kIncidence))
         std::erase_if(scan.channels,
@@ -347,8 +324,7 @@ void ScanRenderer::set_visible_instances(const std::vector<bool>& visible_flags)
 }
 
 void ScanRenderer::set_drop_network(const RayDropNetwork& network) {
-    // Called only because it throws an error if the network has inputs that cannot be
-    // rendered.
+    // Throws an error if the network has inputs that cannot be rendered.
     list_drop_network_channel_numbers(network.inputs);
     impl_->finish_pending_scans();
     impl_->lanes->set_drop_network(network);

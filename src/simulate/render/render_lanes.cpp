@@ -24,8 +24,6 @@ ParallelScanResources& ParallelScanResourcePool::get_next_scan_resources_of_batc
             const std::size_t n_before = others_.size();
             try {
                 others_.emplace_back(device_).copy = scene_.copy_scene_to_new_renderer();
-                // If the device memory is too small for another copy of the scene, uses
-                // fewer copies.
             } catch (const OutOfDeviceMemory&) {
                 if (others_.size() > n_before) others_.pop_back();
                 most_ = 1 + int(others_.size());
@@ -77,13 +75,11 @@ std::shared_ptr<DeviceSensorRays> ParallelScanResources::upload_sensor_rays(
         std::rotate(cached_sensor_rays.begin(), matching_rays, matching_rays + 1);
         return cached_sensor_rays.front();
     }
-    // Returns true if an entry can be overwritten. No pending scan may use its rays. The
-    // entry must be empty or belong to the same sensor.
+    // No pending scan may use the rays.
     const auto is_free = [&](const std::shared_ptr<DeviceSensorRays>& rays) {
         return rays.use_count() == 1 &&
                (rays->get_ray_table().size() == 0 || rays->get_sensor_name() == name);
     };
-    // Reuses a free entry of the cache, or adds an entry.
     auto free_entry = std::ranges::find_if(cached_sensor_rays, is_free);
     if (free_entry == cached_sensor_rays.end())
         free_entry = cached_sensor_rays.insert(free_entry, std::make_shared<DeviceSensorRays>(device));

@@ -21,54 +21,40 @@ namespace relidar {
 
 class ResidentScene;
 
-/// Device resources for rendering one scan. Scans that are rendered in parallel use
-/// different resources.
 struct ParallelScanResources {
-    /// renderer of a copy of the scene; null if the original scene is used
     std::unique_ptr<Renderer> copy = {};
-    /// Rays of recently used sensors on the device. The most recently used sensor is
-    /// first.
+    /// the most recently used sensor is first
     std::vector<std::shared_ptr<DeviceSensorRays>> cached_sensor_rays;
     DevicePointComputer points;
     std::optional<RayDropRefiner> refiner = {};
 
     explicit ParallelScanResources(Device& device)
         : cached_sensor_rays{std::make_shared<DeviceSensorRays>(device)}, points(device) {}
-    /// Returns the rays of a sensor as arrays on the device. The arrays stay on the
-    /// device for the next scans of the sensor.
-    /// @param get_no_return_probability returns the probability that the sensor never
-    /// gets a return along a ray
+    /// @param get_no_return_probability probability that the sensor never gets a return
+    /// along a ray
     std::shared_ptr<DeviceSensorRays> upload_sensor_rays(
         Device& device, const SimulatedSensor& sensor, const RayTable& ray_table,
         const std::function<float(std::size_t)>& get_no_return_probability);
 };
 
-/// The resources of all scans that are rendered in parallel. They are called lanes; a
-/// lane renders one scan at a time.
+/// A lane renders one scan at a time.
 class ParallelScanResourcePool {
 public:
     ParallelScanResourcePool(Device& device, ResidentScene& scene);
 
-    /// Returns the device resources for a scan that is not part of a batch.
     ParallelScanResources& get_unbatched_scan_resources() { return first_; }
-    /// Returns the device resources for the next scan of a batch. Begins a batch if there
-    /// is none. The first call allocates the resources.
+    /// Begins a batch if there is none.
     ParallelScanResources& get_next_scan_resources_of_batch();
     bool has_open_batch() const { return batch_.has_value(); }
-    /// Submits the GPU commands of all scans of the batch.
     void submit_batched_scan_commands();
     Renderer& get_renderer(const ParallelScanResources& lane);
 
-    /// Sets the network that corrects the drop probabilities. An empty network turns the
-    /// correction off.
+    /// An empty network turns the correction off.
     void set_drop_network(const RayDropNetwork& network);
-    /// Returns the network that corrects the drop probabilities, or null if there is
-    /// none.
+    /// Null if there is no network.
     const RayDropNetwork* get_drop_network() const {
         return first_.refiner ? &first_.refiner->network() : nullptr;
     }
-    /// Returns the object that runs the ray-drop network with these resources. The first
-    /// call creates the object.
     RayDropRefiner& get_or_create_ray_drop_refiner(ParallelScanResources& lane);
     int get_parallel_scan_limit() const { return most_; }
     void set_parallel_scan_limit(int count);
@@ -79,7 +65,6 @@ private:
     ParallelScanResources first_;
     std::deque<ParallelScanResources> others_ = {};  ///< lanes for further parallel scans
     int most_;
-    /// GPU commands of scans that were recorded but not submitted yet
     std::optional<ConcurrentSequenceScope> batch_ = {};
     std::size_t n_batch_ = 0;  ///< number of scans in the batch
 };

@@ -29,7 +29,7 @@ ResidentScene::ResidentScene(Device& device, const Scene& scene, const Config& c
 
 void ResidentScene::load_blocks(const std::vector<std::size_t>& block_indices) {
     if (renderer_) past_.add_times(renderer_->stream().times());
-    // frees the memory of the old renderer before the new renderer allocates its memory
+    // frees memory before the new renderer allocates
     renderer_.reset();
     loaded_.clear();
     Scene scene = copy_scene_with_loaded_blocks(scene_, block_indices);
@@ -41,8 +41,7 @@ void ResidentScene::load_blocks(const std::vector<std::size_t>& block_indices) {
     loaded_ = block_indices;
 }
 
-/// Returns the blocks (parts of a large scene) that a scan needs. Adds other loaded
-/// blocks while they fit into memory, and prefers the most recently needed blocks.
+/// Adds other loaded blocks while they fit into memory, the most recently needed first.
 std::vector<std::size_t> ResidentScene::add_recently_needed_blocks(
     std::vector<std::size_t> block_indices) const {
     double bytes = 0.0;

@@ -17,28 +17,22 @@
 
 namespace relidar {
 
-/// A scene on the device. A large scene is divided into blocks. Only blocks near the
-/// sensor must be loaded. Other loaded blocks stay while they fit into
-/// config.render.memory_mib. The least recently needed blocks are removed first. The
-/// constructor loads a scene without blocks.
+/// A scene on the device. Of a scene in blocks, only blocks near the sensor must be
+/// loaded. Others stay while they fit into config.render.memory_mib; the least recently
+/// needed go first.
 class ResidentScene {
 public:
     ResidentScene(Device& device, const Scene& scene, const Config& config, const RendererOptions& options);
 
-    /// Loads all blocks of the scene within the range of a sensor.
-    /// @param sensor_position_m [3] position of the sensor, world frame
-    /// @param max_range_m maximum range of its rays
     /// @throws DataError if the file of a block is invalid
     void load_blocks_near_sensor(const glm::vec3& sensor_position_m, double max_range_m);
-    /// Returns the renderer of the loaded scene. Call load_blocks_near_sensor() before.
+    /// Call load_blocks_near_sensor() before.
     Renderer& renderer() { return *renderer_; }
     bool has_loaded_renderer() const { return renderer_.has_value(); }
-    /// Copies the scene on the device, so that several scans can be rendered in parallel.
-    /// The scene must not be divided into blocks. renderer() must outlive the copy,
-    /// because both use the same stream. Waits until the copy is finished.
+    /// The scene must not have blocks. renderer() must outlive the copy, because both use
+    /// the same stream.
     /// @throws DeviceError if memory is exhausted
     std::unique_ptr<Renderer> copy_scene_to_new_renderer();
-    /// Returns the kernel times of all renderings so far.
     const KernelTimes& get_kernel_times();
 
 private:
@@ -53,12 +47,10 @@ private:
     Scene scene_;  ///< blocks and parts that always stay in memory; empty without blocks
     std::optional<Renderer> renderer_;
     std::vector<std::size_t> loaded_;  ///< blocks on the device, in ascending order
-    /// [blocks] number of the last scan that needed the block; 0 if no scan has needed it
+    /// [blocks] last scan that needed the block; 0 if none
     std::vector<std::uint64_t> last_needed_;
     std::uint64_t scans_ = 0;
     double bytes_per_surfel_ = 0.0;  ///< measured when blocks were loaded last
-    /// `past_` has the kernel times of replaced renderers. `times_` has these times plus
-    /// the times of the current renderer.
     KernelTimes past_, times_;
 };
 

@@ -14,8 +14,7 @@
 namespace relidar {
 namespace {
 
-// Constant that is mixed into the seed for the intensities, so that their random numbers
-// are independent of the random numbers for drops and ranges.
+// Makes the random numbers of intensities independent of those of drops and ranges.
 constexpr std::uint64_t kOfIntensities = 0x696E74656E736974ull;
 
 }  // namespace
@@ -76,7 +75,6 @@ void replace_expected_returns_by_sample(RenderedScan& scan, const RangeNoiseTabl
         for (std::size_t i = 0; i < drawn.size(); ++i)
             if (returning[i] != 0) scan.image.intensity[i] = drawn[i];
     }
-    // Adds the same noise to the mean range as to the median range.
     for (std::size_t i = 0; i < ranges_m.size(); ++i) scan.mean_range_m[i] += ranges_m[i] - likely_m[i];
     scan.image.range_m = ranges_m;
     scan.median_range_m = std::move(ranges_m);

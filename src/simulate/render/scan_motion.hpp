@@ -12,22 +12,18 @@
 
 namespace relidar {
 
-/// A ray at its firing time, in relidar's world frame.
 struct RayMotion {
     glm::dvec3 start_m, direction;
     double sensor_away_mps;  ///< speed of the sensor along the ray
 };
 
-/// Motion of the sensor and of the instances of a scene during a scan.
 struct MotionDuringScan {
     PoseTrack world_from_sensor;       ///< in relidar's world frame
     std::vector<InstancePose> placed;  ///< [instances] poses and motions
 
-    /// Returns a ray and the speed of its origin. The origin moves with the sensor. The
-    /// rotation of the LiDAR head does not move it.
+    /// The origin moves with the sensor. The rotation of the LiDAR head does not move it.
     RayMotion compute_ray_motion(const RenderedScan& scan, std::size_t ray) const;
-    /// Returns the velocity of a point of an instance, in m/s. Ignores the motion of the
-    /// limbs of a walking actor. The velocity is 0 if the index is -1.
+    /// In m/s. Ignores the limbs of a walking actor. 0 if the index is -1.
     /// @param after_s time after the reference time of the scan
     glm::dvec3 compute_object_velocity(std::int32_t instance, double after_s,
                                        const glm::dvec3& point_m) const;

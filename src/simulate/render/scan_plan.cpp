@@ -12,11 +12,9 @@
 namespace relidar {
 namespace {
 
-/// Value of RayDropNetwork::image if the network's input image has one pixel per ray. Any
-/// other value is the name of a grid, whose cells are the pixels of the image.
+/// RayDropNetwork::image if the image has one pixel per ray; other values name a grid.
 constexpr const char* kNative = "native";
 
-/// Checks that the beams of a sensor can be split into sub-rays.
 /// @throws UsageError for a beam without divergence
 void require_valid_sub_ray_settings(const RayTable& rays, const SensorConfig& sensor_config,
                                     const SimulatedSensor& sensor) {
@@ -39,13 +37,10 @@ void require_valid_sub_ray_settings(const RayTable& rays, const SensorConfig& se
                          sensor_config.sub_rays, rays.size(), kMaxRays);
 }
 
-/// Returns true if there is a network and it can correct an image with this name and
-/// size.
 bool can_apply_network_to_image(const RayDropNetwork* network, const std::string& image_name, int rows,
                                 int columns) {
     if (!network || network->image != image_name) return false;
-    // A network with 1 x 1 convolutions processes each ray separately, so an image of one
-    // pixel is enough.
+    // A network with 1 x 1 convolutions processes each ray separately.
     const int side = network->taps == 1 ? 1 : std::max(2, network->compute_min_image_rows_and_columns());
     return rows >= side && columns >= side;
 }

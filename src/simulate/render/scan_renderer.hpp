@@ -26,12 +26,10 @@ class ParallelScanResourcePool;
 class DeviceSensorRays;
 struct ParallelScanResources;
 
-/// Points of a submitted scan that the caller has not yet collected with
-/// wait_for_points().
+/// Points of a submitted scan that wait_for_points() has not collected yet.
 struct PendingPoints {
     std::optional<RenderedPoints> ready = {};  ///< the points, if the host computed them
     std::shared_ptr<DeviceSensorRays> rays = {};
-    /// poses of the sensor; a single pose if the sensor does not move
     PoseTrack dataset_from_sensor = {};
     Pose dataset_from_points = {};
     double time_s = 0.0;
@@ -51,19 +49,17 @@ struct ScanRenderer::Impl {
     ResidentScene scene;
     std::unique_ptr<ParallelScanResourcePool> lanes;
     SurfaceClassMap class_map = {};
-    /// Search tree of `class_map`, which has the classes of background surfaces. Null
-    /// until the first scan with the channel "class".
+    /// Search tree of `class_map`. Null until the first scan with the channel "class".
     std::unique_ptr<const SurfaceClassLookup> class_finder = {};
     std::deque<PendingPoints> pending = {};  ///< requested scans, sorted from the oldest to the newest
 
     Impl(Device& on, const Scene& all, const Config& settings_of_run, const LidarSequence& sequence);
-    /// A scan of traced rays. If the network ran on the device, `drops` has its drop
-    /// probabilities. `drops` is valid until the next scan is traced.
+    /// `drops` has the network's drop probabilities, if it ran on the device. They are
+    /// valid until the next scan is traced.
     struct TracedScan {
         RenderedScan scan;
         std::span<const float> drops;
     };
-    /// Decides which steps run for a sweep.
     ScanRenderPlan plan_steps_for_sweep(const SimulatedSweep& sweep, bool has_random_sampling) const;
     void prepare_scene_for_sweep(const ParallelScanResources& resources, const SimulatedSweep& sweep);
     std::shared_ptr<DeviceSensorRays> record_trace_commands(ParallelScanResources& lane,

@@ -9,8 +9,7 @@
 namespace relidar {
 namespace {
 
-// A ray counts as observed if at least this share of its path lies in space that the log
-// observed.
+// A ray counts as observed if at least this share of its path was observed.
 constexpr float kMinObservedFraction = 0.5f;
 
 bool is_mostly_unobserved(float observed_fraction) { return observed_fraction < kMinObservedFraction; }
@@ -20,8 +19,7 @@ RayWithSurfaceRange get_ray_with_surface_range(const RenderedScan& scan, std::si
             glm::dvec3(scan.image.direction[ray_index]), scan.median_range_m[ray_index]};
 }
 
-/// Returns the fraction of a ray's path that the log has observed. The path ends at the
-/// surface that the ray hits, or at the maximum range.
+/// The path ends at the surface that the ray hits, or at the maximum range.
 float compute_observed_path_fraction(const RayWithSurfaceRange& ray, const LogObservedSpace& observed_space) {
     Pose world_from_firing = ray.dataset_from_firing;
     world_from_firing.translation -= observed_space.world_offset_m;

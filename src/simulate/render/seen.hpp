@@ -11,36 +11,29 @@
 
 namespace relidar {
 
-/// The space that the log observed, and the range limit of the simulated sensor.
 struct LogObservedSpace {
     const ObservedVoxelSet& coverage;  ///< observed space; empty if it is unknown
     glm::dvec3 world_offset_m;         ///< see LidarSequence::world_offset_m
     double max_range_m;                ///< maximum range of the simulated sensor
 };
 
-/// A ray, and the range of the surface that the ray hits.
 struct RayWithSurfaceRange {
     Pose dataset_from_firing;
     glm::dvec3 origin_m, direction;  ///< in the sensor frame
     float met_m;                     ///< range of the surface that the ray hits; 0 if the ray hits nothing
 };
-/// Returns the share of rays that count as unobserved. A ray counts as unobserved if the
-/// log observed less than half of its path.
-/// @param get_ray returns the ray with an index below `n_rays`
+/// A ray counts as unobserved if the log observed less than half of its path.
 double compute_fraction_of_unobserved_rays(std::size_t n_rays,
                                            const std::function<RayWithSurfaceRange(std::size_t)>& get_ray,
                                            const LogObservedSpace& observed_space);
 
-/// Returns, for each selected ray, which fraction of its path is in space that the log
-/// has observed. The path ends at the surface that the ray hits, or at the maximum range.
-/// @return [rays] 0..1
+/// [rays] 0..1. A path ends at the surface that the ray hits, or at the maximum range.
 std::vector<float> compute_observed_path_fractions(const RenderedScan& scan,
                                                    const std::vector<std::size_t>& ray_indices,
                                                    const LogObservedSpace& observed_space);
 
-/// Sets RenderedScan::unseen_share to the fraction of rays whose path the log has mostly
-/// not observed. Uses the channel "seen" if the scan has it, otherwise a sample of the
-/// rays. Sets no value if the observed space is unknown.
+/// Uses the channel "seen" if the scan has it, otherwise a sample of the rays. Sets no
+/// value if the observed space is unknown.
 void estimate_and_set_unobserved_fraction(RenderedScan& scan, const LogObservedSpace& observed_space);
 
 }  // namespace relidar

@@ -21,24 +21,19 @@ namespace relidar {
 
 namespace {
 
-/// Minimum sum of blending weights along a ray. Rays with a lower sum hit almost nothing
-/// and are not projected into the range image.
+/// Minimum sum of blending weights along a ray that is projected into the image.
 constexpr float kLeastWeight = 0.05f;
 
 RangeLimits get_configured_range_limits(const Config& config, const LidarSequence& sequence) {
     return {config.dataset.min_range_m, replace_automatic_max_range(config, sequence).dataset.max_range_m};
 }
 
-/// Returns the rays of a sensor, computed by `make_table`. If the scan pattern has
-/// different rays in each scan, returns no rays.
+/// Returns no rays if the pattern has different rays in each scan.
 template <class Make>
 RayTable make_rays_if_time_invariant(const std::optional<SensorPattern>& pattern, const Make& make_table) {
     return pattern && summarise_scan_pattern(*pattern).has_rays_by_time ? RayTable{} : make_table();
 }
 
-/// Returns true if the rays of the simulated sensor fire at different times (a rolling
-/// shutter). This is the case if the setting requires it, or if the LiDARs of the log
-/// have a rolling shutter.
 bool is_rolling_shutter_simulated(const Config& config, const LidarSequence& sequence) {
     return config.sensor.rolling_shutter == RollingShutter::yes || sequence.rolling_shutter;
 }
@@ -82,7 +77,6 @@ SimulatedSensor make_simulated_grid_sensor(const RangeImageGrid& grid, const Con
     return choice;
 }
 
-/// Copies all values of a ray to a cell of the grid, except drop probabilities.
 void copy_ray_to_grid_cell(const RenderedScan& source_scan, std::size_t ray_index, RenderedScan& target_scan,
                            std::size_t cell_index) {
     const glm::vec3 &origin = source_scan.image.origin[ray_index],
@@ -100,8 +94,7 @@ void copy_ray_to_grid_cell(const RenderedScan& source_scan, std::size_t ray_inde
     target_scan.time_offset_s[cell_index] = source_scan.time_offset_s[ray_index];
 }
 
-/// Updates a pixel (cell) with one of its rays. The pixel's drop probability is the
-/// minimum over its rays, because the pixel has a return if any ray returns.
+/// A pixel returns if any of its rays returns, so it gets the minimum.
 void merge_drop_probability_into_cell(const RenderedScan& source_scan, std::size_t ray_index,
                                       RenderedScan& target_scan, std::size_t cell_index) {
     for_each_channel_pair(
@@ -180,12 +173,11 @@ RenderedScan project_points_into_grid_image(const RenderedScan& scan, const Rang
             of_cells.assign(n, get_value_of_rays_without_hit<T>(channel));
         });
     result.time_offset_s.assign(n, 0.0f);
-    // [cells] drop probability of the ray that each pixel shows; 2 for pixels without a
-    // ray
+    // [cells] drop probability of the ray that the pixel shows; 2 without a ray
     std::vector<float> winner_drop(n, 2.0f);
     for (std::size_t i = 0; i < scan.median_range_m.size(); ++i) {
         if (!(scan.median_range_m[i] > 0.0f) || scan.weight[i] < kLeastWeight) continue;
-        const glm::vec3 point = scan.image.origin[i] + scan.median_range_m[i] * scan.image.direction[i];
+        const glm::vec3 point = scan.end_of(i);
         const std::optional<int> cell = project_to_pixel_index(grid, glm::dvec3(point));
         if (!cell) continue;
         const std::size_t c = std::size_t(*cell);

@@ -20,8 +20,7 @@
 namespace relidar {
 namespace {
 
-/// Returns true if two tables have the same bytes. Compares in parallel, because a ray
-/// table has several megabytes.
+/// Compares in parallel, because a ray table has several megabytes.
 template <class Values>
 bool are_bytes_equal(const Values& first, const Values& second) {
     if (first.size() != second.size()) return false;
@@ -50,10 +49,8 @@ std::uint32_t get_drop_network_channel_number(const std::string& channel_name) {
         if (channel_name == known) return channel;
     for (std::uint32_t axis = 0; axis < 3; ++axis)
         if (channel_name == std::string("origin_") + "xyz"[axis]) return RELIDAR_DROP_ORIGIN + axis;
-    fail(
-        "the ray-drop network needs the input \"{}\", which this version of relidar does not render; "
-        "`relidar refine RUN` trains the network again",
-        shorten_for_error_message(channel_name));
+    fail("the ray-drop network needs the unknown input \"{}\"; `relidar refine RUN` trains it again",
+         shorten_for_error_message(channel_name));
 }
 
 }  // namespace

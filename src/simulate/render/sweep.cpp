@@ -14,13 +14,10 @@
 namespace relidar {
 namespace {
 
-// Maximum time between the firing of a ray and the nearest end of the sensor's path. A
-// sweep may begin before the path or end after it, but not by more.
+// Maximum time between the firing of a ray and the nearest end of the path.
 constexpr double kBeyondPath_s = 1.0;
 constexpr double kFarthest = 1e10;  // limit for coordinates in metres and for times in seconds since 1970
 
-/// Checks the track of a sensor or an actor.
-/// @param object_name name of the object in the error message
 /// @throws DataError if poses or times are invalid
 void require_valid_track_poses_and_times(const PoseTrack& track, const std::string& object_name) {
     const auto refuse = [&](const std::string& found, const char* expected) {
@@ -30,23 +27,22 @@ void require_valid_track_poses_and_times(const PoseTrack& track, const std::stri
     const std::size_t n = track.pose.size();
     if (n == 0 || n != track.time_s.size())
         refuse(fmt::format("{} poses and {} times", n, track.time_s.size()),
-             "at least one pose, and exactly one time for each pose");
+               "at least one pose, and exactly one time for each pose");
     for (std::size_t i = 0; i < n; ++i) {
         const auto& [q, t] = track.pose[i];
         bool is_pose = std::abs(glm::length(q) - 1.0) < 1e-3;
         for (const double x : {t.x, t.y, t.z, track.time_s[i]}) is_pose = is_pose && std::abs(x) <= kFarthest;
         if (!is_pose)
             refuse(fmt::format("an invalid pose at entry {}", i),
-                 "a unit quaternion, and coordinates and times of at most 1e10");
+                   "a unit quaternion, and coordinates and times of at most 1e10");
         if (i > 0 && !(track.time_s[i] > track.time_s[i - 1])) {
             refuse(fmt::format("the time {} s of a pose directly after the time {} s of the previous pose",
-                             track.time_s[i], track.time_s[i - 1]),
-                 "times that increase from pose to pose");
+                               track.time_s[i], track.time_s[i - 1]),
+                   "times that increase from pose to pose");
         }
     }
 }
 
-/// @throws DataError if rays are fired long before or after the path of the sensor
 void require_sweep_on_path(const SimulatedSweep& sweep) {
     const std::vector<double>& times_s = sweep.world_from_sensor.time_s;
     if (times_s.size() < 2 || sweep.get_rays().size() == 0) return;
@@ -55,8 +51,8 @@ void require_sweep_on_path(const SimulatedSweep& sweep) {
         sweep.time_s + double(last) <= times_s.back() + kBeyondPath_s)
         return;
     fail(
-        "cannot render a scan: its rays are fired from {:.6g} to {:.6g} s, but the poses of the sensor are "
-        "from {:.6g} to {:.6g} s; expected poses during the sweep, or at most {} s before or after it",
+        "cannot render a scan from {:.6g} to {:.6g} s: found poses from {:.6g} to {:.6g} s, expected {} s "
+        "less",
         sweep.time_s + double(first), sweep.time_s + double(last), times_s.front(), times_s.back(),
         kBeyondPath_s);
 }
@@ -85,10 +81,8 @@ SimulatedSweepBuilder::SimulatedSweepBuilder(const Config& config, const Scene& 
 
 void SimulatedSweepBuilder::set_visible_instances(const std::vector<bool>& shown) {
     if (shown.size() != shown_.size())
-        fail<UsageError>(
-            "cannot select the objects to render: found {} values (true or false), expected {}, one for the "
-            "background and one for each actor",
-            shown.size(), shown_.size());
+        fail<UsageError>("cannot select the objects to render: found {} values, expected {}", shown.size(),
+                         shown_.size());
     shown_ = shown;
 }
 
@@ -97,9 +91,8 @@ SimulatedSensor SimulatedSweepBuilder::copy_sensor_with_logged_azimuths(const Si
     return copy_sensor_with_azimuths_of_sweep(sensor, shifted_, log_.lidars, time_s);
 }
 
-/// Makes a sweep for a sensor on a given track. Sets the vehicle track of the log so that
-/// the sensor follows `world_from_sensor`.
-/// @param world_from_actor poses of the actors; if null, uses the tracks of the run
+/// Sets the vehicle track of the log so that the sensor follows `world_from_sensor`.
+/// @param world_from_actor if null, uses the tracks of the run
 SimulatedSweep SimulatedSweepBuilder::make_sweep_along_track(const SimulatedSensor& sensor, double time_s,
                                                              PoseTrack world_from_sensor,
                                                              const ActorTracksByName* world_from_actor) {
@@ -108,11 +101,9 @@ SimulatedSweep SimulatedSweepBuilder::make_sweep_along_track(const SimulatedSens
         compute_mounted_track(std::move(world_from_sensor), inverse(lidar.vehicle_from_sensor));
     log_.rolling_shutter = fires_rays_at_different_times(sensor, config_);
     lidar.pattern = sensor.pattern;
-    // The sweep starts at an azimuth that depends on the simulated sensor's scan pattern.
-    // If the sensor has no pattern, find_sweep_start() uses the log's spinning LiDAR
-    // instead.
+    // Without a pattern, find_sweep_start() uses the log's spinning LiDAR.
     const SweepTiming now{time_s, sensor.lidar, find_sweep_start(sensor.rays, lidar)};
-    // Rays of the sweep. Without a value, the sweep has the rays of the sensor.
+    // without a value: the rays of the sensor
     std::optional<RayTable> rays;
     const bool makes_rays = sensor.pattern && sensor.rays.size() == 0;
     if (makes_rays || !log_.rolling_shutter) {

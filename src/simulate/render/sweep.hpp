@@ -11,12 +11,10 @@
 
 namespace relidar {
 
-/// A sweep to render.
 struct SimulatedSweep {
     const SimulatedSensor& sensor;
     double time_s = 0.0;
-    /// Rays of this sweep, if they differ from the rays of the sensor. This happens if
-    /// the pattern changes from scan to scan, or if all rays fire at the same time.
+    /// set if the pattern changes from scan to scan, or if all rays fire at the same time
     std::optional<RayTable> changed_rays = {};
     PoseTrack world_from_sensor = {};  ///< poses of the sensor; a single pose if the sensor does not move
     Pose pose = {};                    ///< pose of the sensor at `time_s`
@@ -25,41 +23,30 @@ struct SimulatedSweep {
     const RayTable& get_rays() const { return changed_rays ? *changed_rays : sensor.rays; }
 };
 
-/// Makes sweeps from the log and the actors of a trained scene.
 class SimulatedSweepBuilder {
 public:
-    /// Creates an object that makes sweeps for a scene and a log.
     /// @param config must outlive this object
     SimulatedSweepBuilder(const Config& config, const Scene& scene, const LidarSequence& sequence);
-    /// Shows only the selected instances in all following sweeps.
     /// @throws UsageError if the number of instances is wrong
     void set_visible_instances(const std::vector<bool>& shown);
-    /// Returns a copy of the sensor with the azimuths that the LiDAR of the log measured
-    /// in the sweep at `time_s`.
+    /// Copies the azimuths that the LiDAR of the log measured in the sweep at `time_s`.
     SimulatedSensor copy_sensor_with_logged_azimuths(const SimulatedSensor& sensor, double time_s) const;
-    /// Returns the sweep of a sensor on the vehicle of the log. The vehicle drives along
-    /// its recorded path.
+    /// The vehicle drives along its recorded path.
     /// @param sensor must outlive the sweep
-    /// @param sensor_offset pose of the sensor relative to its recorded mounting
+    /// @param sensor_offset relative to the recorded mounting
     SimulatedSweep make_sweep_on_recorded_path(const SimulatedSensor& sensor, double time_s,
                                                const Pose& sensor_offset);
-    /// Returns a sweep with the sensor poses and actor poses of `request`.
     /// @throws DataError if poses or times are invalid
     SimulatedSweep make_sweep_of_request(const SimulatedSensor& sensor, const ScanRequest& request);
 
-    /// LiDARs and boxes of the log, without scans.
     const LidarSequence& get_log() const { return log_; }
     const Scene& get_scene_layout() const { return layout_; }
-    /// Returns false if the background is hidden or was removed from the scene.
     bool shows_background() const {
         return shown_.front() && (layout_.models.front().count > 0 || !layout_.blocks.empty());
     }
-    /// Returns the probability that the sensor never gets a return in a direction, for
-    /// example because the vehicle blocks the view.
+    /// For example because the vehicle blocks the view.
     float get_permanent_drop_probability(const SimulatedSensor& sensor, std::uint16_t channel,
                                          const glm::vec3& direction) const;
-    /// Returns the range limits of a sensor. If the sensor has no maximum range, returns
-    /// the maximum range of the log.
     RangeLimits get_range_limits(const SimulatedSensor& sensor) const;
 
 private:
@@ -67,7 +54,6 @@ private:
     const Scene layout_;  ///< models, instances and sensor drop, without surfels
     LidarSequence log_;   ///< the log; during a sweep, its vehicle has the poses of this sweep
     const PoseTrack log_world_from_vehicle_;
-    /// frames in which the measured head azimuth differs from the nominal azimuth
     const std::vector<LidarFrame> shifted_;
     std::vector<bool> shown_;  ///< [instances]
 

@@ -14,12 +14,10 @@
 namespace relidar {
 namespace {
 
-// Minimum number of rays that meet an unobserved side of an actor. With fewer rays, the
-// side is not reported.
+// With fewer rays, the side is not reported.
 constexpr std::size_t kFewestRays = 5;
 
-/// Returns the range at which a ray enters a box, and the axis of the side through which
-/// it enters. Returns infinity if the ray misses the box or starts inside the box.
+/// Range, and axis of the side. Infinity if the ray misses the box or starts inside.
 std::pair<double, int> find_ray_entry_into_box(const glm::dvec3& origin, const glm::dvec3& direction,
                                                const glm::dvec3& box_half_size_m) {
     double enter_m = 0.0, leave_m = std::numeric_limits<double>::infinity();
@@ -37,7 +35,6 @@ std::pair<double, int> find_ray_entry_into_box(const glm::dvec3& origin, const g
     return {enter_m, axis};
 }
 
-/// An actor with sides that the log did not observe. Mirrored surfels may complete them.
 struct PartlyObservedActor {
     const std::string* track;
     const PoseTrack* world_from_box;
@@ -45,8 +42,7 @@ struct PartlyObservedActor {
     const ObservedBoxSurface* surface;
     std::int32_t instance;                ///< index of the actor in Scene::instances
     ObservedSideFractions side_coverage;  ///< observed or completed fraction of each side
-    /// Bounding sphere of the actor's box during the scan, in the world frame. Rays that
-    /// miss the sphere are skipped.
+    /// bounding sphere of the box during the scan, in the world frame
     glm::dvec3 centre_m{0.0};
     double radius_m = 0.0;
     std::array<std::size_t, kBoxSides> n_through{}, n_completed{};
@@ -58,11 +54,8 @@ struct PartlyObservedActor {
                glm::dot(to_centre, to_centre) - along_m * along_m < radius_m * radius_m;
     }
 
-    /// Counts a ray if it sees a side of the actor that the log has not observed. Such a
-    /// side is either filled with mirrored surfels or left empty. All coordinates are in
-    /// the box frame.
-    /// @param range_m range of the return; 0 if the ray has no return
-    /// @param hits_actor true if the return is a surface of this actor
+    /// All coordinates are in the box frame.
+    /// @param range_m 0 if the ray has no return
     void count_ray_on_unobserved_side(const glm::dvec3& ray_origin, const glm::dvec3& ray_direction,
                                       double range_m, bool hits_actor) {
         if (hits_actor && range_m > 0.0)

@@ -16,7 +16,6 @@ namespace {
 
 using protozero::pbf_writer;
 
-/// Field types with their numbers in descriptor.proto.
 enum ProtobufFieldType {
     kDouble = 1,
     kInt64 = 3,
@@ -49,9 +48,8 @@ constexpr const char *kTimestamp = ".google.protobuf.Timestamp", *kDuration = ".
 constexpr const char *kPose = ".foxglove.Pose", *kVector = ".foxglove.Vector3",
                      *kQuaternion = ".foxglove.Quaternion";
 
-/// Message types of the Foxglove schema. Shapes that relidar never writes are declared
-/// without fields, because readers expect a list for each kind of shape, even if the list
-/// is empty.
+/// Shapes that relidar never writes have no fields: readers expect a list for each kind
+/// of shape, even if it is empty.
 const std::initializer_list<ProtobufMessageType> kMessages = {
     {"Vector3", {{1, "x", kDouble}, {2, "y", kDouble}, {3, "z", kDouble}}},
     {"Quaternion", {{1, "x", kDouble}, {2, "y", kDouble}, {3, "z", kDouble}, {4, "w", kDouble}}},
@@ -114,7 +112,6 @@ const std::initializer_list<ProtobufEnumType> kEnums = {
     {"SceneEntityDeletionType", {"MATCHING_ID", "ALL"}},
 };
 
-/// Time types of google.protobuf. Each type stores seconds and nanoseconds.
 const std::initializer_list<ProtobufMessageType> kTimes = {
     {"Timestamp", {{1, "seconds", kInt64}, {2, "nanos", kInt32}}},
     {"Duration", {{1, "seconds", kInt64}, {2, "nanos", kInt32}}},
@@ -202,7 +199,6 @@ std::string make_pose_message(const Pose& pose) {
     return bytes;
 }
 
-/// Values of foxglove.NumericType.
 enum FoxgloveNumericType { kUint8 = 1, kUint16 = 3, kInt32Number = 6, kFloat32 = 7 };
 struct FoxglovePointField {
     std::string name;
@@ -213,8 +209,7 @@ const FoxglovePointField kPointFields[] = {{"x", 0, kFloat32},     {"y", 4, kFlo
                                            {"z", 8, kFloat32},     {"intensity", 12, kFloat32},
                                            {"time", 16, kFloat32}, {"instance", 20, kInt32Number},
                                            {"ring", 24, kUint16},  {"return", 26, kUint8}};
-// Number of bytes per point without optional channels. It is a multiple of 4, so that
-// floats are aligned.
+// Bytes per point without optional channels: a multiple of 4.
 constexpr std::uint32_t kStride = 28;
 
 std::vector<FoxglovePointField> list_point_fields(const LidarPoints& cloud) {
@@ -264,7 +259,6 @@ std::string make_point_cloud_message(const RecordedCloud& recorded, const std::s
     return bytes;
 }
 
-/// Returns a foxglove.FrameTransforms message that contains one transform.
 std::string make_frame_transform_message(std::uint64_t time_ns, const std::string& parent_frame,
                                          const std::string& child_frame, const Pose& parent_from_child) {
     std::string all, bytes;
@@ -283,7 +277,7 @@ std::string make_box_message(const RecordedActor& actor) {
     pbf_writer writer(bytes);
     writer.add_message(1, make_pose_message(actor.faced.world_from_box));
     writer.add_message(2, make_vector_message(actor.size_m));
-    // orange, and translucent so that the points inside the box stay visible
+    // translucent so that the points inside the box stay visible
     writer.add_message(3, encode_doubles_as_fields_1_to_n({1.0, 0.6, 0.1, 0.3}));
     return bytes;
 }
@@ -296,17 +290,13 @@ std::string make_key_value_message(const char* key, const std::string& value) {
     return bytes;
 }
 
-/// Formats a vector as "x y z".
 std::string format_vector(const glm::dvec3& vector) {
     return fmt::format("{:.6g} {:.6g} {:.6g}", vector.x, vector.y, vector.z);
 }
 
-/// Returns a foxglove.SceneUpdate message with the boxes of the actors. The new boxes
-/// replace all earlier boxes. Each box has its own time stamp. Velocities are in the
-/// world frame.
+/// The new boxes replace all earlier boxes. Velocities are in the world frame.
 std::string make_actor_boxes_message(std::uint64_t stamp_ns, const std::vector<RecordedActor>& actors) {
-    // Value ALL of SceneEntityDeletionType. It deletes all earlier boxes, so that no
-    // boxes of absent actors remain.
+    // SceneEntityDeletionType ALL deletes all earlier boxes.
     constexpr int kAll = 1;
     std::string bytes, all;
     pbf_writer writer(bytes), deletion(all);
@@ -345,9 +335,8 @@ std::vector<RecordedMessage> make_vehicle_transform_messages(const RecordedSweep
     return messages;
 }
 
-/// Returns one message with the poses of all sensors on the vehicle. Each scan repeats
-/// this message, so that playback can start anywhere in the file. Concatenated protobuf
-/// messages are one valid message with all list entries.
+/// Each scan repeats this message, so that playback can start anywhere. Concatenated
+/// protobuf messages are one message with all list entries.
 std::vector<RecordedMessage> make_sensor_mounting_messages(const RecordedRig& rig,
                                                            const RecordedSweep& moment) {
     std::string bytes;

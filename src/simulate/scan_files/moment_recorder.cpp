@@ -15,18 +15,14 @@
 namespace relidar::scan_files {
 namespace {
 
-// Latest time of a ROS time stamp, whose seconds are a signed 32-bit integer.
+// ROS stores seconds as a signed 32-bit integer.
 constexpr std::int64_t kLatest_ns = 2'147'483'647'000'000'000;
-// The transforms of a sweep end this much later than its last ray, because the times of
-// points are rounded.
+// Transforms end this much later than the last ray, because times of points are rounded.
 constexpr double kRounding_s = 2e-8;
-// Interval between recorded poses in seconds. Readers interpolate between them. If a
-// sensor is 2 m from the vehicle's origin and turns with 1 rad/s, the interpolation error
-// is 0.03 mm.
+// Readers interpolate between poses. If a sensor is 2 m from the vehicle's origin and
+// turns with 1 rad/s, the error is 0.03 mm.
 constexpr double kPoseStep_s = 0.01;
 
-/// Adds times from `first_s` to `last_s` at intervals of kPoseStep_s. Between these
-/// limits, also adds the times of the track's poses.
 void append_pose_sample_times(std::vector<double>& times_s, const PoseTrack& track, double first_s,
                               double last_s) {
     const int n = std::max(1, static_cast<int>(std::ceil((last_s - first_s) / kPoseStep_s)));
@@ -37,8 +33,6 @@ void append_pose_sample_times(std::vector<double>& times_s, const PoseTrack& tra
     if (begin < end) times_s.insert(times_s.end(), begin, end);
 }
 
-/// Merges the actors of several scans with the same time stamp. For an actor in several
-/// scans, adds up its points, and keeps the largest visible share.
 void merge_recorded_actors(std::vector<RecordedActor>& merged_actors, std::vector<RecordedActor> new_actors) {
     for (RecordedActor& actor : new_actors) {
         const auto existing_actor = std::ranges::find(merged_actors, actor.name, &RecordedActor::name);
@@ -51,8 +45,8 @@ void merge_recorded_actors(std::vector<RecordedActor>& merged_actors, std::vecto
     }
 }
 
-/// Rounds a firing time to 10 ns, because floats have errors of some nanoseconds. The
-/// stamp of a ray at -0.05 s is then not 1 ns too small.
+/// Floats have errors of some nanoseconds. The stamp of a ray at -0.05 s must not be 1 ns
+/// too small.
 double round_firing_time(float time_s) { return 1e-8 * std::round(1e8 * double(time_s)); }
 
 }  // namespace
@@ -74,11 +68,9 @@ void require_storable_times(std::span<const RenderedScan> scans, std::int64_t ti
     if (std::abs(scans[0].time_s) < 4e9 && make_time_stamp_ns(all.first_s, time_shift_ns) >= 0 &&
         make_time_stamp_ns(all.last_s, time_shift_ns) < kLatest_ns)
         return;
-    fail(
-        "cannot write a recording or packets: found a scan at {} s, whose rays have time stamps from {:.3f} "
-        "to {:.3f} s; expected 0 s or more and before the year 2038",
-        scans[0].time_s, all.first_s + 1e-9 * double(time_shift_ns),
-        all.last_s + 1e-9 * double(time_shift_ns));
+    fail("cannot record a scan at {} s: found stamps from {:.3f} to {:.3f} s, expected 1970 to 2037",
+         scans[0].time_s, all.first_s + 1e-9 * double(time_shift_ns),
+         all.last_s + 1e-9 * double(time_shift_ns));
 }
 
 RecordedRig SweepRecorder::make_recorded_rig() const {
@@ -118,9 +110,7 @@ RecordedSweep SweepRecorder::convert_scans_to_recorded_sweep(std::span<const Ren
     return moment;
 }
 
-/// Returns the poses of the vehicle at the given times.
-/// @param scan scan of the first sensor; the path of the vehicle is computed from the
-/// path of this sensor
+/// @param scan scan of the first sensor
 std::vector<RecordedPose> SweepRecorder::compute_vehicle_poses(const RenderedScan& scan,
                                                                std::vector<double> times_s) {
     std::ranges::sort(times_s);
@@ -131,8 +121,7 @@ std::vector<RecordedPose> SweepRecorder::compute_vehicle_poses(const RenderedSca
     std::vector<RecordedPose> poses;
     for (const double t_s : times_s) {
         const std::uint64_t time_ns = make_time_stamp_ns(t_s);
-        // Skips times for which a pose was already written, because sweeps can overlap in
-        // time.
+        // Sweeps can overlap in time.
         if (last_pose_ns_ && time_ns <= *last_pose_ns_) continue;
         poses.push_back({time_ns, world_from_vehicle(t_s), compute_object_velocity(world_from_vehicle, t_s)});
         last_pose_ns_ = time_ns;
@@ -151,8 +140,6 @@ RecordedCloud SweepRecorder::make_point_cloud(const RenderedScan& scan, const Sc
     return cloud;
 }
 
-/// Returns the boxes of the actors that are present during a scan, in the world frame of
-/// the dataset.
 std::vector<RecordedActor> SweepRecorder::list_recorded_actors(const RenderedScan& scan,
                                                                double cloud_time_s) const {
     std::vector<RecordedActor> actors;

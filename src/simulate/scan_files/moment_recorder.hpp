@@ -13,14 +13,10 @@
 
 namespace relidar::scan_files {
 
-/// Converts scans, in order of time, to RecordedSweep objects, which are written to
-/// recordings (MCAP files). Each object has the poses, points and boxes of one scan per
-/// sensor.
 class SweepRecorder {
 public:
     explicit SweepRecorder(std::vector<ScanOutputOptions> sensors) : sensors_(std::move(sensors)) {}
     RecordedRig make_recorded_rig() const;
-    /// Converts the scans of one moment.
     /// @param scans one scan per sensor, all with the same time
     /// @throws DataError if times decrease, or if the file format cannot represent them
     RecordedSweep convert_scans_to_recorded_sweep(std::span<const RenderedScan> scans);

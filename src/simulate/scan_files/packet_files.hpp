@@ -13,15 +13,16 @@
 
 namespace relidar::scan_files {
 
-/// Name of the output format that contains network packets.
 inline constexpr const char* kPacketFormat = "pcap";
+inline constexpr const char* kPacketHelp =
+    R"(DIR/packets.pcap, the packets that the sensor sends, with its rounding and timing; with
+packets.csv (Hesai) or packets.json (Ouster), the calibration for its driver.)";
 
 class PacketFileWriter {
 public:
-    /// Creates the capture files under temporary names.
+    /// The files have temporary names until finish_writing().
     /// @throws UsageError if relidar cannot write packets of a sensor
     PacketFileWriter(std::filesystem::path folder, const std::vector<ScanOutputOptions>& sensors);
-    /// Removes the temporary files if finish_writing() was not called.
     ~PacketFileWriter();
     PacketFileWriter(const PacketFileWriter&) = delete;
     PacketFileWriter& operator=(const PacketFileWriter&) = delete;
@@ -29,7 +30,6 @@ public:
     void write_scans_as_packets(std::span<const RenderedScan> scans);
     void finish_writing();
     std::vector<std::string> list_packet_file_names() const;
-    /// Returns true if this class may have written a file with this name.
     static bool is_packet_file_name(const std::filesystem::path& file_name);
 
 private:

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Transforms the rays of a scan to the coordinate frame of the output files.
+// Converts the rays of a scan to the coordinate frame of the output files.
 #pragma once
 
 #include <optional>
@@ -16,26 +16,43 @@
 
 namespace relidar::scan_files {
 
-struct ScanInOutputFrame {
+/// Rays and their optional channels, [n] each, in the coordinate frame of the files.
+struct PlacedRays {
+    std::vector<glm::vec3> origin, direction, end_m;
+    std::vector<ScanChannel> channels;
+};
+
+/// A scan for the output files. Converts its rays and its points only when a format first
+/// needs them, and each only once.
+class ScanInOutputFrame {
+public:
+    /// @param frame_number frame number of the dataset
+    /// @param file_notes metadata of the files
+    ScanInOutputFrame(const RenderedScan& rendered, const ScanOutputOptions& options, int frame_number,
+                      FileMetadata file_notes = {});
+    /// @throws DataError if require_valid_channel_names_and_sizes() finds an invalid
+    /// channel
+    const PlacedRays& rays();
+    /// Returns one point for each return of the scan.
+    const LidarPoints& points();
+
     const RenderedScan& scan;
     const ScanOutputOptions& format;
-    int frame;                                 ///< frame number of the dataset
-    std::vector<glm::vec3> origin, direction;  ///< [n] in the frame of the file
-    /// [n] end points of the rays in the coordinate frame of the file
-    std::vector<glm::vec3> end_m;
-    /// optional channels with [n] values each; vectors are in the coordinate frame of the
-    /// file
-    std::vector<ScanChannel> channels;
-    FileMetadata notes;
+    const int frame;
+    const FileMetadata notes;
+
+private:
     /// pose of the points' coordinate frame in the dataset's world frame; no value if
     /// each point is in the frame that the sensor had when it fired the point's ray
-    std::optional<Pose> dataset_from_points;
+    std::optional<Pose> dataset_from_points_;
+    std::optional<PlacedRays> rays_;
+    std::optional<LidarPoints> points_;
 };
 
 /// Calls visit(info, values) for each channel of the output files, in the order of the
 /// files. Second returns have the channels range_2 and intensity_2.
 template <class Visit>
-void for_each_channel_written_to_files(const ScanInOutputFrame& placed_scan, Visit&& visit) {
+void for_each_channel_written_to_files(ScanInOutputFrame& placed_scan, Visit&& visit) {
     const RenderedScan& scan = placed_scan.scan;
     const BasicChannels& basic = get_basic_channels();
     visit(basic.range, scan.image.range_m);
@@ -50,7 +67,7 @@ void for_each_channel_written_to_files(const ScanInOutputFrame& placed_scan, Vis
         visit(ChannelInfo{"range_2", "m"}, scan.second_returns[0].range_m);
         visit(ChannelInfo{"intensity_2"}, scan.second_returns[0].intensity);
     }
-    for (const ScanChannel& channel : placed_scan.channels) {
+    for (const ScanChannel& channel : placed_scan.rays().channels) {
         std::visit([&](const auto& values) { visit(channel.info, values); }, channel.values);
         ChannelInfo of_second = channel.info;
         of_second.name += "_2";
@@ -59,25 +76,12 @@ void for_each_channel_written_to_files(const ScanInOutputFrame& placed_scan, Vis
     }
 }
 
-/// Transforms the rays of a scan to the coordinate frame of the output format.
-/// @param world_from_deskewed pose of the sensor frame in which deskewed
-/// (motion-compensated) points are expressed
-/// @param file_notes metadata of the files
-/// @throws DataError if require_valid_channel_names_and_sizes() finds an invalid channel
-ScanInOutputFrame transform_scan_to_output_frame(const RenderedScan& scan, const ScanOutputOptions& format,
-                                                 const Pose& world_from_deskewed, int frame_number,
-                                                 FileMetadata file_notes = {});
-
 /// Returns the pose of the frame that all points share: the world (identity), or the
-/// sensor frame at one time (`world_from_deskewed`). Returns no value if each point is
-/// written in the sensor frame at the firing time of its ray.
+/// sensor frame at one time. Returns no value if each point is written in the sensor
+/// frame at the firing time of its ray.
 /// @param world_from_deskewed pose of the sensor frame in which deskewed
 /// (motion-compensated) points are expressed
 std::optional<Pose> compute_world_from_output_frame(const ScanOutputOptions& format,
                                                     const Pose& world_from_deskewed);
-/// Returns one point for each return of the scan.
-LidarPoints make_points_of_returns(const ScanInOutputFrame& output_scan);
-/// Returns the number of rays that have a return.
-std::size_t count_rays_with_returns(const RenderedScan& scan, const Config& point_range_config);
 
 }  // namespace relidar::scan_files

@@ -20,8 +20,7 @@
 namespace relidar {
 namespace {
 
-/// A field of a point, with its types in PLY and PCD. In PLY, the 16-bit type has two
-/// names, ushort and uint16. The files use uint16, because Open3D does not read ushort.
+/// In PLY, the 16-bit type is uint16, because Open3D does not read ushort.
 struct PointFileField {
     std::string name;
     const char* ply_type;
@@ -42,8 +41,6 @@ std::vector<PointFileField> list_point_file_fields(const LidarPoints& points) {
     return fields;
 }
 
-/// Checks that each array has one value per point. Optional arrays may be empty.
-/// @throws DataError if an array has another length
 void require_equal_point_array_lengths(const LidarPoints& points) {
     const auto check = [&](const char* name, std::size_t found, bool may_be_unknown = true) {
         if (found != points.size() && !(may_be_unknown && found == 0))
@@ -58,7 +55,6 @@ void require_equal_point_array_lengths(const LidarPoints& points) {
     require_valid_channel_names_and_sizes(points.channels, points.size(), "a point cloud");
 }
 
-/// Packs the fields of each point into bytes, in the order of list_point_file_fields().
 std::string pack_point_records(const LidarPoints& points) {
     std::string bytes;
     bytes.reserve(points.size() * 26);

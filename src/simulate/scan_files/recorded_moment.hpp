@@ -31,12 +31,10 @@ struct RecordedSensor {
 };
 struct RecordedRig {
     std::vector<RecordedSensor> sensors;
-    /// true if points are in the world frame, false if they are in the frame of their
-    /// sensor
     bool world = false;
 };
 
-/// Velocity of an object. The components are along the axes of the object.
+/// The components are along the axes of the object.
 struct Velocity {
     glm::dvec3 linear_mps{0.0}, angular_radps{0.0};
 };
@@ -45,7 +43,6 @@ struct RecordedPose {
     Pose world_from_vehicle;
     Velocity velocity;
 };
-/// Pose and velocity of a box at one time.
 struct BoxState {
     std::uint64_t time_ns;
     Pose world_from_box;
@@ -55,24 +52,20 @@ struct RecordedActor {
     std::string name, category;
     glm::dvec3 size_m;  ///< length, width and height
     bool is_parked = false;
-    /// State at the time when the rotating sensor points at the actor. The box of a
-    /// moving actor matches its points only at this time.
+    /// The box of a moving actor matches its points only when the sensor points at it.
     BoxState faced;
     BoxState at_stamp;                    ///< state at the time stamp of the point cloud
     std::size_t n_points;                 ///< number of first returns of the scan on the actor
     std::optional<double> visible_share;  ///< empty if it was not computed
 };
 
-/// Times in seconds of the log at which the first and the last ray are fired.
 struct SweepInterval {
     double first_s, last_s;
 };
 SweepInterval find_sweep_interval(std::span<const RenderedScan> scans);
-/// Converts a time of the log to a time stamp, rounded to the nearest nanosecond.
 inline std::int64_t make_time_stamp_ns(double time_s, std::int64_t time_shift_ns) {
     return time_shift_ns + std::llround(1e9 * time_s);
 }
-/// Checks that recordings and packets can store the times of some scans.
 /// @throws DataError if a time is before 1970 or after 2038
 void require_storable_times(std::span<const RenderedScan> scans, std::int64_t time_shift_ns);
 
@@ -83,12 +76,11 @@ struct RecordedCloud {
 
 struct RecordedSweep {
     std::uint64_t first_ns, last_ns;  ///< firing times of the first and last ray of all sensors
-    /// poses in ascending order of time, all later than the poses of earlier scans
+    /// ascending, and later than the poses of earlier scans
     std::vector<RecordedPose> poses;
-    /// [sensors] point cloud of each sensor. Motion-compensated points are in the
-    /// sensor's frame at the time of the stamp.
+    /// [sensors] motion-compensated points are in the sensor's frame at the stamp
     std::vector<RecordedCloud> clouds;
-    /// actors at the time stamp of each point cloud
+    /// by the stamp of the point cloud
     std::map<std::uint64_t, std::vector<RecordedActor>> actors;
 };
 

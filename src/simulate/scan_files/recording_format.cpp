@@ -6,12 +6,21 @@
 namespace relidar::scan_files {
 
 std::span<const RecordingFormat> list_recording_formats() {
-    // The format "rosbag" stores quality-of-service policies as numbers. rosbag2 reads
-    // them as numbers because of the empty metadata entry `serialized_metadata`.
+    // rosbag2 reads the quality-of-service policies as numbers because of the empty
+    // metadata entry `serialized_metadata`.
     static const RecordingFormat formats[] = {
-        {"mcap", "scans.mcap", "", "protobuf", "protobuf", {}, list_foxglove_topics},
+        {"mcap",
+         "scans.mcap",
+         "one file with all scans of all sensors, for Foxglove.",
+         "",
+         "protobuf",
+         "protobuf",
+         {},
+         list_foxglove_topics},
         {"rosbag",
          "rosbag.mcap",
+         R"(a ROS 2 bag. Both contain the transforms of world, base_link (the log's vehicle)
+and sensors, and the boxes of actors. --deskew moves points to the time of the first ray.)",
          "ros2",
          "ros2msg",
          "cdr",

@@ -28,26 +28,20 @@ struct RecordedTopic {
 
 struct RecordingFormat {
     const char* name;  ///< name of the format in ScanOutputOptions::formats
-    const char* file;
+    const char *file, *help;
     const char* profile;  ///< MCAP profile of the file
     const char *definition_encoding, *message_encoding;
-    /// metadata that this format requires, in addition to the metadata about the
-    /// rendering
     std::map<std::string, std::map<std::string, std::string>> metadata;
-    /// Returns the topics of a recording. Messages with the same time are written in the
-    /// order of these topics.
+    /// Messages with the same time are written in the order of these topics.
     std::vector<RecordedTopic> (*topics)(const RecordedRig&);
 };
 
 std::span<const RecordingFormat> list_recording_formats();
 
-/// Returns the messages of all topics in the order of their times. Messages with the same
-/// time are in the order of the topics.
+/// Messages with the same time are in the order of the topics.
 std::vector<ScanMessage> make_messages_in_time_order(std::span<const RecordedTopic> topics,
                                                      const RecordedSweep& moment);
 
-/// These functions return the topics of a recording. list_foxglove_topics() uses
-/// Foxglove's schemas in protobuf. list_ros_topics() uses ROS 2 messages in CDR.
 std::vector<RecordedTopic> list_foxglove_topics(const RecordedRig& rig);
 std::vector<RecordedTopic> list_ros_topics(const RecordedRig& rig);
 

@@ -11,16 +11,13 @@ namespace {
 
 using Actors = std::vector<RecordedActor>;
 
-/// Returns a message with one detection per actor. Each detection has the time at which
-/// the sensor points at the box.
+/// Each detection has the time at which the sensor points at the box.
 std::string make_detections_message(std::uint64_t stamp_ns, const Actors& actors) {
     CdrWriter cdr;
     add_header(cdr, stamp_ns, kWorldFrame);
     cdr.append_aligned_number(std::uint32_t(actors.size()));
     for (const RecordedActor& actor : actors) {
         add_header(cdr, actor.faced.time_ns, kWorldFrame);
-        // Each detection has one class with a score of 1, because the class is known
-        // exactly.
         cdr.append_aligned_number(std::uint32_t(1)).append_string(actor.category).append_aligned_number(1.0);
         add_pose(cdr, actor.faced.world_from_box);
         add_zero_covariance(cdr);
@@ -31,9 +28,7 @@ std::string make_detections_message(std::uint64_t stamp_ns, const Actors& actors
     return cdr.take_encoded_message();
 }
 
-/// Maps a word in the class name of an object to its label in
-/// autoware_perception_msgs/ObjectClassification. The first matching word decides.
-/// Therefore longer words precede shorter words, for example "caravan" precedes "car".
+/// The first matching word decides, so "caravan" precedes "car".
 struct AutowareLabel {
     const char* word;
     std::uint8_t number;
@@ -53,8 +48,7 @@ std::uint8_t get_autoware_label(std::string category) {
     return match == std::end(kLabels) ? kUnknown : match->number;
 }
 
-/// Adds a UUID that depends only on a name, so that an actor has the same UUID in all
-/// files. The UUID consists of two FNV-1a hashes. Its version is 8 (custom UUID).
+/// The UUID depends only on the name: two FNV-1a hashes, version 8 (custom UUID).
 void add_uuid_of_name(CdrWriter& cdr, const std::string& name) {
     constexpr int kVersionByte = 6, kVariantByte = 8;
     std::string bytes;
@@ -70,9 +64,7 @@ void add_uuid_of_name(CdrWriter& cdr, const std::string& name) {
     }
 }
 
-/// Returns a message with the boxes of all actors. The objects have no separate time
-/// stamps, so their poses are at the time of the message. Readers can extrapolate the
-/// poses with the velocities.
+/// Objects have no time stamps: their poses are at the time of the message.
 std::string make_tracked_objects_message(std::uint64_t stamp_ns, const Actors& actors) {
     constexpr std::uint8_t kOrientationAvailable = 2, kBoundingBox = 0;
     CdrWriter cdr;
@@ -80,8 +72,7 @@ std::string make_tracked_objects_message(std::uint64_t stamp_ns, const Actors& a
     cdr.append_aligned_number(std::uint32_t(actors.size()));
     for (const RecordedActor& actor : actors) {
         add_uuid_of_name(cdr, actor.name);
-        // Existence probability, then one class with its label and probability. Both
-        // probabilities are 1.
+        // existence probability; label and probability
         cdr.append_aligned_number(1.0f)
             .append_aligned_number(std::uint32_t(1))
             .append_aligned_number(get_autoware_label(actor.category))

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "ros_definitions.hpp"
+#include "ros_parts.hpp"
 
 #include <algorithm>
 #include <map>

@@ -12,8 +12,7 @@
 namespace relidar::scan_files {
 
 constexpr std::uint64_t kNanoseconds = 1'000'000'000;  // nanoseconds per second
-// Number of elements of a covariance matrix. All elements are 0, because simulated poses
-// and velocities are exact.
+// All elements are 0, because simulated poses and velocities are exact.
 constexpr int kCovariance = 36;
 
 inline void add_time(CdrWriter& cdr, std::uint64_t time_ns) {
@@ -28,7 +27,6 @@ inline void add_header(CdrWriter& cdr, std::uint64_t stamp_ns, const std::string
 inline void add_vector(CdrWriter& cdr, const glm::dvec3& vector) {
     cdr.append_aligned_number(vector.x).append_aligned_number(vector.y).append_aligned_number(vector.z);
 }
-/// Adds a pose or a transform.
 inline void add_pose(CdrWriter& cdr, const Pose& pose) {
     add_vector(cdr, pose.translation);
     cdr.append_aligned_number(pose.rotation.x)
@@ -45,11 +43,11 @@ inline void add_velocity_with_covariance(CdrWriter& cdr, const Velocity& velocit
     add_zero_covariance(cdr);
 }
 
-/// Returns the topics that contain the point clouds of one sensor.
 std::vector<RecordedTopic> list_ros_cloud_topics(const RecordedRig& rig, std::size_t sensor_index);
-/// Returns the topics with the boxes of the actors.
 std::vector<RecordedTopic> list_ros_actor_topics();
-/// Returns a topic whose quality of service is "reliable".
+/// Definition of a message type such as "nav_msgs/msg/Odometry" or "nav_msgs/Odometry",
+/// followed by those of all types that it contains.
+std::string make_ros_message_definition(const std::string& message_type);
 /// @param is_latched true if subscribers that join later receive the last message
 RecordedTopic make_ros_topic(const std::string& name, const std::string& message_type,
                              std::function<std::vector<RecordedMessage>(const RecordedSweep&)> make_messages,

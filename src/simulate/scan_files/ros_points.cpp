@@ -14,29 +14,26 @@ struct RosField {
     std::uint8_t type;  ///< datatype, a constant of sensor_msgs/PointField
 };
 constexpr std::uint8_t kRosUint8 = 2, kRosUint16 = 4, kRosInt32 = 5, kRosUint32 = 6, kRosFloat32 = 7;
-/// Fields of a point, with the names that Velodyne drivers use. Optional channels are
-/// stored after these fields.
+/// Names of Velodyne drivers. Optional channels follow.
 const std::vector<RosField> kPlain = {{"x", 0, kRosFloat32},     {"y", 4, kRosFloat32},
                                       {"z", 8, kRosFloat32},     {"intensity", 12, kRosFloat32},
                                       {"time", 16, kRosFloat32}, {"ring", 20, kRosUint16}};
-/// Fields of PointXYZIRCAEDT, the point type of Autoware and Nebula.
+/// PointXYZIRCAEDT, the point type of Autoware and Nebula.
 const std::vector<RosField> kAutoware = {{"x", 0, kRosFloat32},          {"y", 4, kRosFloat32},
                                          {"z", 8, kRosFloat32},          {"intensity", 12, kRosUint8},
                                          {"return_type", 13, kRosUint8}, {"channel", 14, kRosUint16},
                                          {"azimuth", 16, kRosFloat32},   {"elevation", 20, kRosFloat32},
                                          {"distance", 24, kRosFloat32},  {"time_stamp", 28, kRosUint32}};
 
-/// Values of the field `return_type`, as Nebula defines them.
+/// as Nebula defines them
 enum ReturnType : std::uint8_t { kLast = 1, kStrongest = 3, kSecondStrongest = 8 };
 
-/// Packs points as PointXYZIRCAEDT. Computes the angles in radians from x, y and z.
-/// Azimuth increases from the x axis to the left, and elevation increases upwards.
+/// Angles in radians. Azimuth increases from the x axis to the left.
 std::string pack_autoware_points(const LidarPoints& cloud) {
     std::string bytes;
     for (std::size_t i = 0; i < cloud.position_m.size(); ++i) {
         const glm::vec3& p = cloud.position_m[i];
-        // A second return is the last return if it is farther away than the first return.
-        // Otherwise it is the second strongest.
+        // A second return that is nearer than the first return is the second strongest.
         const bool is_second = !cloud.return_number.empty() && cloud.return_number[i] == 2;
         ReturnType return_type = kStrongest;
         if (is_second && i > 0)
@@ -68,8 +65,6 @@ std::string pack_velodyne_points(const LidarPoints& cloud) {
     return bytes;
 }
 
-/// Describes the fields of a point cloud message, and how its points are packed into
-/// bytes.
 struct RosPointType {
     const std::vector<RosField>& fields;
     std::uint32_t step;  ///< bytes per point without channels
@@ -120,8 +115,7 @@ std::vector<RecordedTopic> list_ros_cloud_topics(const RecordedRig& rig, std::si
         });
     };
     std::vector<RecordedTopic> topics{of_type(topic, kPlainType)};
-    // Points in the world frame have no azimuth and elevation relative to the sensor, so
-    // this topic is left out.
+    // Points in the world frame have no azimuth and elevation relative to the sensor.
     if (!rig.world) topics.push_back(of_type(topic + "_xyzircaedt", kAutowareType));
     return topics;
 }

@@ -6,13 +6,11 @@
 
 #include <fmt/format.h>
 
-#include "ros_definitions.hpp"
-
 namespace relidar::scan_files {
 namespace {
 
-/// Returns quality-of-service settings in the format of rosbag2. The policies are
-/// numbers, as in the rmw library of ROS. All durations are infinite.
+/// In the format of rosbag2, with the numbers of the rmw library. All durations are
+/// infinite.
 std::string format_quality_of_service(bool is_latched) {
     constexpr int kKeepLast = 1, kReliable = 1, kTransientLocal = 1, kVolatile = 2, kAutomatic = 1;
     constexpr const char* kEndless = "\n    sec: 9223372036\n    nsec: 854775807\n";
@@ -63,8 +61,7 @@ RecordedTopic make_topic_with_message_per_pose(const char* name, const char* mes
     });
 }
 
-/// Returns the topic /tf_static with the poses of the sensors on the vehicle. Each scan
-/// repeats the message for players that start in the middle of the file.
+/// Each scan repeats the message for players that start in the middle of the file.
 RecordedTopic make_static_transform_topic(const RecordedRig& rig) {
     const auto message = [rig](const RecordedSweep& moment) {
         CdrWriter cdr;

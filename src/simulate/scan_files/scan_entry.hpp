@@ -11,18 +11,14 @@
 
 namespace relidar::scan_files {
 
-/// Returns the JSON object that describes one scan in scans.json. If the visibility of
-/// actors was computed, the object contains their boxes.
-/// @param frame_number frame number
-/// @param file_names names of the scan's files in the folder
+/// Has the boxes of actors if their visibility was computed.
 std::string make_scan_entry_json(int frame_number, const RenderedScan& scan, const ScanOutputOptions& format,
                                  const std::vector<std::string>& file_names);
 
-/// Removes the scan files of an earlier rendering from a folder. Also removes
-/// half-written files of a killed process.
+/// Also removes half-written files of a killed process.
 /// @throws DataError if a file cannot be removed
 void remove_scan_files(const std::filesystem::path& folder);
-/// Writes a scans.json that only lists recordings, for a folder without single scans.
+/// For a folder without single scans.
 void write_list_of_recordings(const std::filesystem::path& folder, const std::vector<std::string>& names);
 
 }  // namespace relidar::scan_files

@@ -25,9 +25,7 @@ namespace relidar {
 namespace {
 
 namespace fs = std::filesystem;
-using scan_files::make_points_of_returns;
 using scan_files::ScanInOutputFrame;
-using scan_files::transform_scan_to_output_frame;
 
 constexpr const char* kUnits = "metres, seconds; intensity and drop_prob 0 to 1";
 
@@ -74,24 +72,26 @@ NamedArray make_image_array(const std::string& name, const RangeImage& image,
                       first, values.size() * 3);
 }
 
-std::vector<NamedArray> make_npz_arrays(const ScanInOutputFrame& output_scan) {
+std::vector<NamedArray> make_npz_arrays(ScanInOutputFrame& output_scan) {
     const RenderedScan& scan = output_scan.scan;
+    const ScanOutputOptions& format = output_scan.format;
     const RangeImage& image = scan.image;
     const std::vector<double> pose = get_row_major_matrix(scan.world_from_sensor);
-    const bool world = output_scan.format.frame == PointCoordinateFrame::world;
+    const bool world = format.frame == PointCoordinateFrame::world;
     const std::int32_t number = output_scan.frame,
-                       deskewed = are_points_in_one_coordinate_frame(output_scan.format) ? 1 : 0;
-    std::vector<NamedArray> arrays{make_text_array("instance_names", output_scan.format.instance_names),
-                                   make_image_array("directions", image, output_scan.direction),
-                                   make_image_array("origin", image, output_scan.origin),
-                                   make_image_array("points", image, output_scan.end_m),
+                       deskewed = are_points_in_one_coordinate_frame(format) ? 1 : 0;
+    const scan_files::PlacedRays& rays = output_scan.rays();
+    std::vector<NamedArray> arrays{make_text_array("instance_names", format.instance_names),
+                                   make_image_array("directions", image, rays.direction),
+                                   make_image_array("origin", image, rays.origin),
+                                   make_image_array("points", image, rays.end_m),
                                    make_array("pose", {4, 4}, pose.data(), pose.size()),
                                    make_array("time_s", {}, &scan.time_s, 1),
                                    make_array("frame_number", {}, &number, 1),
                                    make_single_text_array("frame", world ? "world" : "sensor"),
                                    make_array("deskewed", {}, &deskewed, 1),
-                                   make_single_text_array("sensor", output_scan.format.sensor),
-                                   make_single_text_array("run", output_scan.format.run),
+                                   make_single_text_array("sensor", format.sensor),
+                                   make_single_text_array("run", format.run),
                                    make_single_text_array("units", kUnits)};
     for_each_channel_written_to_files(output_scan, [&](const ChannelInfo& channel, const auto& values) {
         arrays.push_back(make_image_array(channel.name, image, values));
@@ -100,7 +100,9 @@ std::vector<NamedArray> make_npz_arrays(const ScanInOutputFrame& output_scan) {
     return arrays;
 }
 
-void write_exr_file(const fs::path& path, const ScanInOutputFrame& output_scan) {
+void write_npz_file(const fs::path& path, ScanInOutputFrame& scan) { write_npz(path, make_npz_arrays(scan)); }
+
+void write_exr_file(const fs::path& path, ScanInOutputFrame& output_scan) {
     std::map<std::string, std::vector<float>> channels;
     const auto add = [&]<class T>(const std::string& name, const std::vector<T>& values) {
         if constexpr (std::is_same_v<T, glm::vec3>) {
@@ -111,37 +113,44 @@ void write_exr_file(const fs::path& path, const ScanInOutputFrame& output_scan) 
             channels[name].assign(values.begin(), values.end());
         }
     };
-    add("origin", output_scan.origin);
-    add("direction", output_scan.direction);
+    add("origin", output_scan.rays().origin);
+    add("direction", output_scan.rays().direction);
     for_each_channel_written_to_files(
         output_scan, [&](const ChannelInfo& channel, const auto& values) { add(channel.name, values); });
     const RangeImage& image = output_scan.scan.image;
     write_exr(path, image.rows, image.columns, channels, output_scan.notes);
 }
 
-void write_npz_file(const fs::path& path, const ScanInOutputFrame& output_scan) {
-    write_npz(path, make_npz_arrays(output_scan));
+void write_ply_file(const fs::path& path, ScanInOutputFrame& scan) {
+    write_ply(path, scan.points(), scan.notes);
 }
-void write_ply_file(const fs::path& path, const ScanInOutputFrame& output_scan) {
-    write_ply(path, make_points_of_returns(output_scan), output_scan.notes);
+void write_pcd_file(const fs::path& path, ScanInOutputFrame& scan) {
+    write_pcd(path, scan.points(), scan.notes);
 }
-void write_pcd_file(const fs::path& path, const ScanInOutputFrame& output_scan) {
-    write_pcd(path, make_points_of_returns(output_scan), output_scan.notes);
-}
-void write_bin_file(const fs::path& path, const ScanInOutputFrame& output_scan) {
-    write_kitti_bin(path, make_points_of_returns(output_scan));
-}
-void write_png_file(const fs::path& path, const ScanInOutputFrame& output_scan) {
-    write_png(path, draw_scan_picture(output_scan.scan), output_scan.notes);
+void write_bin_file(const fs::path& path, ScanInOutputFrame& scan) { write_kitti_bin(path, scan.points()); }
+void write_png_file(const fs::path& path, ScanInOutputFrame& scan) {
+    write_png(path, draw_scan_picture(scan.scan), scan.notes);
 }
 
 struct ScanFileFormat {
     const char* name;  ///< name of the format, which is also the extension of its files
-    void (*write)(const fs::path&, const ScanInOutputFrame&);
+    const char* help;  ///< content of a file; one or more lines
+    void (*write)(const fs::path&, ScanInOutputFrame&);
 };
-constexpr ScanFileFormat kFormats[] = {{"npz", write_npz_file}, {"exr", write_exr_file},
-                                       {"ply", write_ply_file}, {"pcd", write_pcd_file},
-                                       {"bin", write_bin_file}, {"png", write_png_file}};
+constexpr const char* kPointsHelp =
+    R"(the points of rays with drop_prob < 0.5, where half of the light is absorbed (the
+median range). With --set render.points=range they use the mean range, which lies between two
+surfaces at edges. The VIEWPOINT of a pcd is the pose in the dataset's world.)";
+constexpr ScanFileFormat kFormats[] = {
+    {"npz", R"(range, median_range, intensity, drop_prob, weight, time, ring [rows,columns]; directions,
+origin, points [rows,columns,3]; pose [4,4], sensor to the dataset's world at time_s; instance_names.
+Metres, seconds.)",
+     write_npz_file},
+    {"exr", "the images of npz as float channels.", write_exr_file},
+    {"ply", kPointsHelp, write_ply_file},
+    {"pcd", kPointsHelp, write_pcd_file},
+    {"bin", kPointsHelp, write_bin_file},
+    {"png", "pictures of range, intensity and drop_prob.", write_png_file}};
 
 }  // namespace
 
@@ -152,6 +161,21 @@ std::vector<std::string> list_scan_formats() {
         names.emplace_back(format.name);
     names.emplace_back(scan_files::kPacketFormat);
     return names;
+}
+
+std::string make_scan_format_help() {
+    std::vector<std::pair<std::string, std::string>> rows;
+    for (const ScanFileFormat& format : kFormats) {
+        if (!rows.empty() && rows.back().second == format.help)
+            rows.back().first += fmt::format(", {}", format.name);
+        else rows.emplace_back(format.name, format.help);
+    }
+    for (const scan_files::RecordingFormat& format : scan_files::list_recording_formats())
+        rows.emplace_back(format.name, fmt::format("DIR/{}, {}", format.file, format.help));
+    rows.emplace_back(scan_files::kPacketFormat, scan_files::kPacketHelp);
+    std::string text;
+    for (const auto& [names, help] : rows) text += fmt::format("{}: {}\n", names, help);
+    return text;
 }
 
 std::int64_t compute_time_shift_ns(const TrainedRun& run, const SimulatedSensor& sensor,
@@ -194,8 +218,8 @@ bool are_points_in_one_coordinate_frame(const ScanOutputOptions& output_options)
 
 std::vector<NamedArray> make_scan_arrays(const RenderedScan& scan, int frame_number,
                                          const ScanOutputOptions& format) {
-    return make_npz_arrays(
-        transform_scan_to_output_frame(scan, format, scan.world_from_sensor, frame_number));
+    ScanInOutputFrame placed(scan, format, frame_number);
+    return make_npz_arrays(placed);
 }
 
 bool ScanFolderWriter::is_output_format_selected(const std::string& format) const {
@@ -203,9 +227,8 @@ bool ScanFolderWriter::is_output_format_selected(const std::string& format) cons
 }
 
 void ScanFolderWriter::write_scan(int frame_number, const RenderedScan& scan) {
-    const ScanInOutputFrame placed =
-        transform_scan_to_output_frame(scan, format_, scan.world_from_sensor, frame_number,
-                                       make_scan_file_metadata(format_, frame_number, scan));
+    ScanInOutputFrame placed(scan, format_, frame_number,
+                             make_scan_file_metadata(format_, frame_number, scan));
     std::vector<std::string> files;
     for (const ScanFileFormat& format : kFormats) {
         if (!is_output_format_selected(format.name)) continue;

@@ -18,7 +18,6 @@
 #include <relidar/simulate/render.hpp>
 #include "base/fail.hpp"
 #include "simulate/scan_files/packet_files.hpp"
-#include "simulate/scan_files/placed_scan.hpp"
 #include "simulate/scan_files/recording_format.hpp"
 #include "simulate/scan_files/scan_entry.hpp"
 
@@ -29,11 +28,9 @@ namespace fs = std::filesystem;
 using Json = nlohmann::ordered_json;
 
 constexpr const char *kSummary = "scans.json", *kSummaryFormat = "relidar scans";
-// Name of a file that exists while a rendering is not finished.
+// exists while a rendering is not finished
 constexpr const char* kUnfinished = ".unfinished_scans";
 
-/// Returns true if a file name is scans.json, the name of a recording or capture, or
-/// frame_<number>.<format>.
 bool is_output_file_name(const fs::path& name) {
     const auto is_named = [&](const scan_files::RecordingFormat& format) { return name == format.file; };
     if (name == kSummary || scan_files::PacketFileWriter::is_packet_file_name(name) ||
@@ -55,7 +52,6 @@ std::vector<fs::path> list_output_files(const fs::path& folder) {
     return files;
 }
 
-/// Returns the names of all files that the scans.json of a folder lists, and scans.json.
 std::set<std::string> read_listed_names(const fs::path& folder) {
     std::ifstream file(folder / kSummary);
     const Json json = Json::parse(file, nullptr, false);
@@ -80,8 +76,7 @@ Json make_matrix_json(const Pose& pose) {
     return rows;
 }
 
-/// Returns a JSON object with the value of each setting. Numbers and booleans keep their
-/// type. Other values become strings.
+/// Numbers and booleans keep their type. Other values become strings.
 Json make_settings_json(const Config& config) {
     Json json = Json::object();
     for (const ConfigKey& key : list_config_keys(config)) {
@@ -91,7 +86,6 @@ Json make_settings_json(const Config& config) {
     return json;
 }
 
-/// Returns a JSON object with the name, unit and meaning of each channel in the files.
 Json make_channels_json(const std::vector<ChannelInfo>& channels) {
     Json json = Json::object();
     const auto add = [&](const ChannelInfo& channel) {
@@ -121,10 +115,7 @@ ScanFolderWriter ScanFolderWriter::join_folder_of_other_process(fs::path folder,
     ScanFolderWriter joined(std::move(folder), std::move(output_options), JoinExistingTag{});
     for (const std::string& name : joined.format_.formats)
         if (is_recording_format(name))
-            fail<UsageError>(
-                "cannot write scans with several processes: the format {} stores all scans in one file; use "
-                "one process",
-                name);
+            fail<UsageError>("the format {} stores all scans in one file; expected a single process", name);
     return joined;
 }
 
@@ -209,7 +200,10 @@ Json make_actor_boxes_json(const std::vector<ActorBox>& boxes) {
 std::string scan_files::make_scan_entry_json(int frame_number, const RenderedScan& scan,
                                              const ScanOutputOptions& format,
                                              const std::vector<std::string>& file_names) {
-    const std::size_t n_points = count_rays_with_returns(scan, format.config);
+    const std::vector<float>& range_m = select_point_ranges(scan, format.config);
+    std::size_t n_points = 0;
+    for (std::size_t i = 0; i < range_m.size(); ++i)
+        n_points += is_ray_returned(scan.image.drop_prob[i], range_m[i]);
     Json sides = Json::array(), completed = Json::array();
     for (const UnobservedActorSide& unseen : scan.unseen_sides)
         (unseen.is_completed ? completed : sides)
@@ -255,10 +249,8 @@ void scan_files::write_list_of_recordings(const fs::path& folder, const std::vec
 
 void scan_files::remove_scan_files(const fs::path& folder) {
     if (const fs::path foreign = find_foreign_scan_file(folder); !foreign.empty())
-        fail<UsageError>(
-            "cannot write scans to {}: found {}, which is not listed in a scans.json of relidar and could be "
-            "replaced; expected another folder",
-            folder.string(), foreign.filename().string());
+        fail<UsageError>("cannot write scans to {}: found {}, which is not listed in a scans.json",
+                         folder.string(), foreign.filename().string());
     for (const fs::path& file : list_scan_files(folder)) {
         std::error_code failed;
         fs::remove(file, failed);

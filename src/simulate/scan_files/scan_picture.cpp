@@ -11,16 +11,13 @@ namespace relidar {
 
 namespace {
 
-// Ratio of width to height of each picture. The image contains several pictures, one
-// above the other.
+// Ratio of width to height.
 constexpr double kPictureAspect = 8.0;
-// Upper end of the colour scale in metres. All larger ranges have the same colour.
 constexpr float kFarthest_m = 80.0f;
-// Rays without image rows are drawn in their order, in lines of this length.
+// Rays without image rows are drawn in lines of this length.
 constexpr int kRaysPerLine = 2048;
 
-/// Arranges the rays of a scan without image rows in lines. The last line ends with
-/// dropped rays. The result has only the values that a picture shows.
+/// The last line ends with dropped rays. Has only the values that a picture shows.
 RangeImage arrange_rays_in_picture_rows(const RangeImage& image) {
     RangeImage lines;
     lines.columns = kRaysPerLine;
@@ -66,7 +63,6 @@ int compute_vertical_stretch_factor(const RangeImage& image) {
 
 namespace {
 
-/// Draws range, intensity and ray-drop one above the other.
 Image draw_channels_of_image(const RangeImage& image) {
     float farthest = 1.0f;
     for (const float range : image.range_m) farthest = std::max(farthest, range);

@@ -5,19 +5,84 @@
 
 #include <algorithm>
 #include <cctype>
+#include <map>
 #include <set>
+#include <system_error>
+#include <utility>
 
 #include <fmt/format.h>
 #include <fmt/ranges.h>
 
 #include <relidar/base/error.hpp>
+#include <relidar/base/files.hpp>
 #include <relidar/simulate/render.hpp>
 #include "base/base64.hpp"
+#include "base/codecs/mcap_writer.hpp"
 #include "base/fail.hpp"
 #include "simulate/scan_files/moment_recorder.hpp"
 #include "simulate/scan_files/packet_files.hpp"
+#include "simulate/scan_files/recording_format.hpp"
 #include "simulate/scan_files/scan_entry.hpp"
-#include "simulate/scan_files/scan_recording.hpp"
+
+namespace relidar::scan_files {
+namespace {
+
+namespace fs = std::filesystem;
+
+/// All scans of a rendering as one MCAP file. Until finish_writing() is called, the file has
+/// a temporary name in the same folder.
+class RecordingFileWriter {
+public:
+    /// @throws DataError if the file cannot be written
+    RecordingFileWriter(fs::path path, const RecordingFormat& format, const RecordedRig& rig,
+                        const FileMetadata& notes)
+        : path_(std::move(path)),
+          temporary_(make_unique_temporary_path(path_)),
+          writer_(temporary_, format.profile),
+          topics_(format.topics(rig)) {
+        std::map<std::string, std::uint16_t> schemas;
+        for (const RecordedTopic& topic : topics_) {
+            if (!schemas.contains(topic.type))
+                schemas[topic.type] =
+                    writer_.add_schema(topic.type, format.definition_encoding, topic.definition);
+            channels_.push_back(writer_.add_channel(schemas[topic.type], topic.name, format.message_encoding,
+                                                    topic.metadata));
+        }
+        for (const auto& [name, values] : format.metadata) writer_.add_metadata(name, values);
+        writer_.add_metadata("relidar", {notes.begin(), notes.end()});
+    }
+    RecordingFileWriter(const RecordingFileWriter&) = delete;
+    RecordingFileWriter& operator=(const RecordingFileWriter&) = delete;
+    ~RecordingFileWriter() {
+        std::error_code failed;
+        fs::remove(temporary_, failed);
+    }
+
+    void write_sweep_messages(const RecordedSweep& moment) {
+        for (const ScanMessage& message : make_messages_in_time_order(topics_, moment)) {
+            // Log times must not decrease, although sweeps can overlap.
+            last_logged_ns_ = std::max(last_logged_ns_, message.time_ns);
+            writer_.add_message(channels_[message.topic], last_logged_ns_, message.bytes);
+        }
+        // A chunk per scan, because players display all messages of a scan together.
+        writer_.write_pending_chunk();
+    }
+
+    void finish_writing() {
+        writer_.write_summary_and_close();
+        write_file_atomically(path_, [&](const fs::path& file) { fs::rename(temporary_, file); });
+    }
+
+private:
+    fs::path path_, temporary_;
+    McapWriter writer_;
+    std::vector<RecordedTopic> topics_;
+    std::vector<std::uint16_t> channels_;  ///< [topics] numbers of the topics in the file
+    std::uint64_t last_logged_ns_ = 0;
+};
+
+}  // namespace
+}  // namespace relidar::scan_files
 
 namespace relidar {
 namespace {
@@ -28,8 +93,7 @@ bool is_valid_topic_character(char character) {
     return std::isalnum(static_cast<unsigned char>(character)) != 0 || character == '_';
 }
 
-/// Returns true if a name is a valid ROS topic: one or more words of letters, digits and
-/// underscores. Each word follows a slash and does not begin with a digit.
+/// One or more words, each after a slash; a word does not begin with a digit.
 bool is_valid_topic_name(const std::string& topic) {
     if (topic.size() < 2 || topic.front() != '/' || topic.back() == '/') return false;
     for (std::size_t i = 1; i < topic.size(); ++i) {
@@ -42,27 +106,22 @@ bool is_valid_topic_name(const std::string& topic) {
     return true;
 }
 
-/// Checks the topic names and frame ids of all sensors.
 /// @throws UsageError if a name is not valid in ROS, or if two sensors have the same name
 void require_valid_topic_and_frame_names(const scan_files::RecordedRig& rig) {
     std::set<std::string> used_frame_ids{scan_files::kWorldFrame, scan_files::kVehicleFrame};
     for (const scan_files::RecordedSensor& sensor : rig.sensors) {
         if (!is_valid_topic_name(sensor.topic))
             fail<UsageError>(
-                "cannot write a recording: found topic \"{}\", expected a name such as /lidar/points; each "
-                "part follows a /, consists of letters, digits and _, and does not begin with a digit",
+                "cannot write a recording: found topic \"{}\", expected a name such as /lidar/points",
                 sensor.topic);
         if (sensor.frame_id.empty() || sensor.frame_id.front() == '/' ||
             !used_frame_ids.insert(sensor.frame_id).second)
             fail<UsageError>(
-                "cannot write a recording: the sensor with topic {1} has the frame id \"{0}\"; expected a "
-                "name that is not empty, does not begin with / and is not used yet; used names: {2}",
+                "cannot write a recording: found frame id \"{}\" of {}, expected a name other than {}",
                 sensor.frame_id, sensor.topic, fmt::join(used_frame_ids, ", "));
     }
 }
 
-/// Checks that every topic has a different name.
-/// @throws UsageError if two topics have the same name
 void require_unique_topic_names(const std::vector<scan_files::RecordedTopic>& topics) {
     std::set<std::string> topic_names;
     for (const scan_files::RecordedTopic& topic : topics)
@@ -72,21 +131,18 @@ void require_unique_topic_names(const std::vector<scan_files::RecordedTopic>& to
                 topic.name, fmt::join(topic_names, ", "));
 }
 
-/// Describes the coordinate frame of the points, for the metadata of a recording.
 const char* describe_recording_coordinate_frame(const ScanOutputOptions& output_options) {
     if (output_options.frame == PointCoordinateFrame::world) return "world";
     return are_points_in_one_coordinate_frame(output_options) ? "sensor at the stamp"
                                                               : "sensor at each ray's firing time";
 }
 
-/// Returns a time in seconds without rounding.
 std::string format_exact_seconds(std::int64_t time_ns) {
     constexpr std::int64_t kSecond_ns = 1'000'000'000;
     const std::string seconds = fmt::format("{}", time_ns / kSecond_ns);
     return time_ns % kSecond_ns == 0 ? seconds : fmt::format("{}.{:09}", seconds, time_ns % kSecond_ns);
 }
 
-/// Returns the metadata of a recording.
 FileMetadata make_recording_metadata(const std::vector<ScanOutputOptions>& sensors) {
     const ScanOutputOptions& format = sensors.front();
     std::vector<std::string> names;

@@ -11,25 +11,19 @@ namespace {
 
 constexpr double kVelocityStep_s = 0.005;
 
-/// Evenly spaced sample of the rays of a scan, to find the ray that points at an object.
 class SampledScanRays {
 public:
     explicit SampledScanRays(const RenderedScan& scan) : scan_(scan) {
         constexpr std::size_t kMost = 4096;
-        // Uses every `step`-th ray. The step is odd, because an even step may divide the
-        // number of columns. Every row would then contribute the same columns.
+        // An odd step does not divide the number of columns, so that rows differ.
         const std::size_t n = scan.image.direction.size(), step = (n / kMost) | 1;
         for (std::size_t i = 0; i < n; i += step)
             rays_.push_back({scan.image.direction[i], scan.time_offset_s[i]});
     }
-    /// Returns the firing time of the ray that passes closest to a moving point.
-    /// @param get_position_m returns the position of the point at a given time, in the
-    /// world frame of the dataset
+    /// Firing time of the ray that passes closest to a moving point.
     template <class PositionFunction>
     double find_firing_time_towards_point(const PositionFunction& get_position_m) const {
-        // Number of fixed-point iterations. Each iteration computes the direction from
-        // the sensor to the point at `time_s`. The firing time of the ray closest to this
-        // direction becomes the new `time_s`.
+        // Fixed-point iterations: the time gives a direction, which gives the next time.
         constexpr int kRounds = 3;
         double time_s = scan_.time_s;
         for (int round = 0; round < kRounds && !rays_.empty(); ++round) {
@@ -50,7 +44,6 @@ private:
     std::vector<SampledRay> rays_;
 };
 
-/// Returns the firing times of the first returns of a scan on an actor.
 std::vector<float> list_firing_times_on_actor(const RenderedScan& scan, const ScanOutputOptions& format,
                                               const std::string& track_id) {
     const auto name = std::ranges::find(format.instance_names, track_id);
@@ -64,10 +57,8 @@ std::vector<float> list_firing_times_on_actor(const RenderedScan& scan, const Sc
     return times_s;
 }
 
-/// Returns the time of a box. The start and the end of a sweep hit different parts of a
-/// box behind the sensor. Such a box gets the median time of its returns, so that it
-/// matches the part with more of them.
-/// @param faced_s  time at which the sensor points at the centre of the box
+/// The start and the end of a sweep hit different parts of a box behind the sensor. Such
+/// a box gets the median time of its returns, to match the larger part.
 double choose_time_of_box(const RenderedScan& scan, double faced_s, std::vector<float> return_times_s) {
     // A box takes a smaller share of a sweep, unless it is hit at its start and end.
     constexpr double kMostOfSweep = 0.5;

@@ -9,15 +9,13 @@
 namespace relidar {
 namespace {
 
-// Constant that is mixed into the seed of the weather, so that weather and sampled
-// returns have independent random numbers.
+// Makes the random numbers of weather and sampled returns independent.
 constexpr std::uint64_t kOfWeather = 0x77656174686572ull;
 constexpr const char* kSource = "source";
 
 using ReturnCauses = std::vector<std::int32_t>;
 
-/// Returns the channel named "source", which stores the cause of each return. Sets all
-/// causes to `nothing`. Adds the channel if the scan does not have it.
+/// Sets all causes to `nothing`.
 ScanChannel& prepare_return_cause_channel(RenderedScan& scan) {
     const auto has_name = [](const ScanChannel& channel) { return channel.info.name == kSource; };
     const auto source_channel = std::ranges::find_if(scan.channels, has_name);
@@ -31,8 +29,7 @@ ScanChannel& prepare_return_cause_channel(RenderedScan& scan) {
     return channel;
 }
 
-/// Returns the channel "velocity" of a scan, with a value for each second return. Returns
-/// null if the scan does not have this channel.
+/// Null if the scan does not have this channel.
 ScanChannel* prepare_velocity_channel(RenderedScan& scan) {
     for (ScanChannel& channel : scan.channels) {
         if (channel.info.name != "velocity") continue;
@@ -42,8 +39,6 @@ ScanChannel* prepare_velocity_channel(RenderedScan& scan) {
     return nullptr;
 }
 
-/// Removes the surface that a ray hit. Sets the instance to -1, and resets all channels
-/// that describe surfaces.
 void clear_surface_values_of_ray(RenderedScan& scan, std::size_t ray_index) {
     scan.instance[ray_index] = -1;
     for (ScanChannel& channel : scan.channels)
@@ -108,9 +103,7 @@ private:
                                            input_.response.compute_intensity_factor_at_range(echo.range_m)),
                         1.0f);
     }
-    /// Returns the distance that the light of a ray travels through the air: to the first
-    /// opaque surface, or to the maximum range. A surface without a return also stops the
-    /// light.
+    /// A surface without a return also stops the light.
     double compute_free_path_m(const RayWeatherState& ray) const {
         const float median_m = scan_.median_range_m[ray.index];
         const bool is_blocked =
@@ -134,8 +127,7 @@ private:
             static_cast<float>(echo_after_weather.range_m);
         clear_surface_values_of_ray(scan_, ray_index);
     }
-    /// Sets the velocity of fog, rain, snow and mirrored objects. Sunlight and stray
-    /// light have no object, so their velocity stays 0.
+    /// Sunlight and stray light have no object, so their velocity stays 0.
     void write_air_velocity(ChannelValues& values, std::size_t ray_index, const LidarEcho& echo) const {
         if (echo.source < ReturnCause::fog || echo.source > ReturnCause::mirror) return;
         const RayMotion ray = input_.motion->compute_ray_motion(scan_, ray_index);

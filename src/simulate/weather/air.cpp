@@ -10,12 +10,12 @@
 namespace relidar {
 namespace {
 
-// A surface that is darker than the limit of detection has a random brightness from this
-// limit up to this multiple of it. The value is an assumption.
+// A surface below the detection limit has a random brightness up to this multiple of the
+// limit. The value is an assumption.
 constexpr double kBrightestUnknownSurface = 4.0;
 
-/// Returns true if a return has enough light for a second return. Compares surfaces by
-/// their reflectivities, as in clear air, and other returns by their powers.
+/// Compares surfaces by their reflectivities, as in clear air, and other returns by their
+/// powers.
 bool has_light_of_second_return(const EchoCandidate& candidate, const EchoCandidate& strongest) {
     const auto& [range_m, reflectivity, source, fall_mps, away_mps] = candidate.echo;
     if (source == ReturnCause::surface && strongest.echo.source == ReturnCause::surface)
@@ -23,8 +23,6 @@ bool has_light_of_second_return(const EchoCandidate& candidate, const EchoCandid
     return reflectivity / (range_m * range_m) >= kSecondReturnShare * strongest.power;
 }
 
-/// Returns the second return of a dual-return sensor. This is the last return, or the
-/// second strongest return if the strongest return is also the last.
 LidarEcho select_second_return(const EchoCandidates& candidates, const EchoCandidate& strongest,
                                double min_separation_m) {
     LidarEcho last, next;
@@ -66,9 +64,8 @@ WeatherRaySimulator::WeatherRaySimulator(const Weather& weather, const WeatherSe
                                          std::vector<std::unique_ptr<RayWeatherEffect>> effects)
     : sensor_(sensor), alpha_(compute_extinction_coefficient(weather)), effects_(std::move(effects)) {}
 
-/// Returns the reflectivity of a surface that the sensor detects in clear air. If the log
-/// has a lower intensity than the sensor could detect, the intensity is not exact. In
-/// this case, returns a random value above the lowest detectable reflectivity.
+/// If the log has a lower intensity than the sensor could detect, the intensity is not
+/// exact: returns a random value above the limit.
 double WeatherRaySimulator::sample_surface_reflectivity(const LidarEcho& surface_echo, Random& random) const {
     const double lowest = sensor_.compute_min_detected_power_at_range(surface_echo.range_m) *
                           surface_echo.range_m * surface_echo.range_m;

@@ -17,20 +17,16 @@
 namespace relidar {
 namespace {
 
-// Constant that is mixed into the seed, so that the random factor of each beam is
-// independent of the other random numbers of the weather.
+// Makes the random factor of each beam independent of other random numbers.
 constexpr std::uint64_t kOfBeams = 0x626C6F6F6D696E67ull;
 constexpr float kSaturated = 0.95f;
 constexpr double kSpread = 3.0;  // standard deviation of ln X, where X is the random factor of a beam
-// Smaller angles between a ray and a retro-reflector, in degrees, are set to this value
-// before the stray light is computed. At smaller angles, the beam would hit the reflector
-// itself.
+// Smaller angles are set to this value: at them, the beam would hit the reflector itself.
 constexpr double kNearest_deg = 0.5;
 constexpr double kSameRange_m = 0.5;
 constexpr double kPerRad = 180.0 / kPi;
 
-/// A cell of one square degree, with the number of its rays and the number of rays that
-/// hit a retro-reflector.
+/// One square degree.
 struct DirectionCell {
     int rays = 0, reflectors = 0;
     glm::dvec3 direction{0.0};  // sum of the directions of the rays that hit a reflector
@@ -50,7 +46,7 @@ std::vector<RetroReflector> find_retro_reflectors(const RenderedScan& scan) {
     std::map<std::pair<int, int>, DirectionCell> squares;
     for (std::size_t i = 0; i < scan.image.direction.size(); ++i) {
         const glm::dvec3 direction(scan.image.direction[i]);
-        // Each cell is 1 x 1 degree: azimuths are scaled by the cosine of the elevation.
+        // 1 x 1 degree: azimuths are scaled by the cosine of the elevation
         const double row = std::floor(std::asin(std::clamp(direction.z, -1.0, 1.0)) * kPerRad);
         const double column =
             std::atan2(direction.y, direction.x) * kPerRad * std::cos((row + 0.5) / kPerRad);
@@ -69,9 +65,7 @@ std::vector<RetroReflector> find_retro_reflectors(const RenderedScan& scan) {
     return reflectors;
 }
 
-/// Returns the stray light of retro-reflectors that a ray in this direction receives. The
-/// caller must multiply the result by the setting `bloom` and by the random factor of the
-/// beam.
+/// Without the factors of the setting `bloom` and of the beam.
 LidarEcho compute_stray_light_echo(const std::vector<RetroReflector>& reflectors,
                                    const glm::dvec3& ray_direction) {
     std::vector<double> share;
@@ -92,10 +86,9 @@ LidarEcho compute_stray_light_echo(const std::vector<RetroReflector>& reflectors
     return echo;
 }
 
-/// Computes the stray-light return of each ray of a scan. Surfaces with an intensity of
-/// at least kSaturated are reflectors. The brightest reflector determines the range.
-/// @return [rays] returns, with an empty return for a ray without stray light. Empty list
-/// if there are no reflectors
+/// Surfaces with an intensity of at least kSaturated are reflectors. The brightest
+/// reflector determines the range.
+/// @return [rays]; empty if there are no reflectors
 std::vector<LidarEcho> compute_stray_light_per_ray(const WeatherInput& input) {
     const RenderedScan& scan = input.scan;
     const std::vector<RetroReflector> reflectors = find_retro_reflectors(scan);

@@ -16,13 +16,11 @@ namespace relidar {
 namespace {
 
 constexpr double kFogStep_m = 0.05;  // Range step in metres of the table of backscattered power.
-// Backscatter coefficient of fog (per metre and steradian) times the visibility in metres
-// (Rasshofer et al. 2011).
+// Per metre and steradian, times the visibility in metres (Rasshofer et al. 2011).
 constexpr double kBackscatter = 0.046;
-// Standard deviation of the logarithm of the fog density. The value is an assumption.
+// Of the logarithm of the density. The value is an assumption.
 constexpr double kFogSpread = 1.0;
-// Densest fog that is considered: this many standard deviations above the mean of the
-// logarithmic density.
+// Standard deviations above the mean of the logarithmic density.
 constexpr double kRareFog = 5.0;
 
 double compute_fog_extinction(const Weather& weather) { return std::log(20.0) / weather.fog_visibility_m; }
@@ -68,8 +66,7 @@ private:
     // [k] mean power that fog reflects at the minimum range plus k range steps
     std::vector<double> power_;
 
-    /// Returns the mean power that fog reflects from a range. Integrates over the pulse
-    /// with the midpoint rule.
+    /// Integrates over the pulse with the midpoint rule.
     double compute_mean_fog_power(double range_m) const {
         constexpr int kParts = 32;
         const double width_m = compute_pulse_length_m(sensor_), part_m = width_m / kParts;

@@ -18,29 +18,25 @@ namespace {
 
 constexpr double kParticleStep_m = 0.05;  // Range step in metres of the table of particle counts.
 
-/// Size distribution and reflectivity of raindrops or snowflakes.
 struct ParticleDistribution {
     ReturnCause source;
     double per_m3_mm;     // N0
     double slope_per_mm;  // Lambda
     double widening;      // ratio of the particle's diameter to its diameter after melting
     double reflectivity;
-    /// returns the terminal speed of a particle in m/s
     double (*fall_speed)(double melted_mm);
 };
 
-/// Returns the size distribution of raindrops (Marshall and Palmer 1948). A drop reflects
-/// as much light as a water surface at normal incidence, ((n - 1) / (n + 1))^2. Its speed
-/// is a fit to measurements (Atlas, Srivastava and Sekhon 1973).
+/// Marshall and Palmer 1948. A drop reflects as water at normal incidence, ((n - 1) / (n
+/// + 1))^2. Speed: Atlas, Srivastava and Sekhon 1973.
 ParticleDistribution make_rain_drop_distribution(const Weather& weather) {
     return {ReturnCause::rain, 8000.0, 4.1 * std::pow(weather.rain_mm_h, -0.21), 1.0, 0.02, [](double mm) {
                 return std::max(9.65 - 10.3 * std::exp(-0.6 * mm), 0.0);
             }};
 }
 
-/// Returns the size distribution of snowflakes by the diameter of the melted flake (Gunn
-/// and Marshall 1958). A flake is wider than its melted drop, because its density is a
-/// tenth of the density of water. All flakes fall at 1 m/s (assumption).
+/// By the diameter of the melted flake (Gunn and Marshall 1958). The density is a tenth
+/// of water's. All flakes fall at 1 m/s (assumption).
 ParticleDistribution make_snow_flake_distribution(const Weather& weather) {
     return {ReturnCause::snow,
             3.8e3 * std::pow(weather.snow_mm_h, -0.87),
@@ -98,13 +94,12 @@ private:
     const WeatherSensorProperties sensor_;
     const double alpha_;
     const ParticleDistribution falling_;
-    // Element k: expected number of raindrops or snowflakes that the sensor can detect
-    // along a ray, from the minimum range to (minimum range + k * kParticleStep_m).
+    // [k] expected particles that the sensor can detect from the minimum range to k *
+    // kParticleStep_m beyond it
     std::vector<double> expected_;
 
-    /// Returns the diameter in millimetres of the smallest particle that the sensor
-    /// detects at a range. For snowflakes, this is the diameter of the melted flake.
-    /// Returns infinity if even a particle as wide as the beam is not detected.
+    /// Of the melted flake for snow. Infinity if even a particle as wide as the beam is
+    /// not detected.
     double compute_min_detectable_diameter_mm(double range_m) const {
         const double share = sensor_.compute_min_detected_power_at_range(range_m) * range_m * range_m *
                              std::exp(2.0 * alpha_ * range_m) / falling_.reflectivity;

@@ -15,29 +15,25 @@
 namespace relidar {
 namespace {
 
-// Solar irradiance at 905 nm in W/m^2/nm, for 100 klux of direct light on a clear day.
-// The value is an assumption.
+// At 905 nm in W/m^2/nm, for 100 klux of direct light. The value is an assumption.
 constexpr double kIrradiance = 0.65;
 constexpr double kSun_rad = 4.65e-3;  // angular radius of the sun
 constexpr double kSun_sr = kPi * kSun_rad * kSun_rad;
-// A dusty sensor window scatters sunlight. Ratio (scattered radiance) / (solar
-// irradiance) in 1/sr, at one degree from the sun. Decreases with 1 / angle^2.
+// A dusty window scatters sunlight: radiance / irradiance in 1/sr at one degree from the
+// sun. Decreases with 1 / angle^2.
 constexpr double kScatter_sr = 5.0;
 constexpr double kDegree_rad = kPi / 180.0;
 constexpr double kFilter_nm = 20.0;
-// Effective area of the receiver in m^2: a lens with a diameter of 5 cm and a
-// transmission of one half.
+// A lens with a diameter of 5 cm and a transmission of one half.
 constexpr double kReceiver_m2 = 1e-3;
 constexpr double kEfficiency = 0.7;      // quantum efficiency, electrons per photon
 constexpr double kExcess = 3.0;          // excess noise factor F of an avalanche photodiode
 constexpr double kPeak_W = 75.0;         // peak power of a pulse
 constexpr double kPhoton_J = 2.195e-19;  // energy of a photon at 905 nm
 constexpr double kUsual_klux = 100.0;    // illuminance on a clear day
-// Surfaces hide the sun if their accumulated opacity is at least this value.
 constexpr float kHidesSun = 0.5f;
 
-/// Returns the angle between each ray of a scan and the direction to the sun, in radians.
-/// Returns an empty list if the scene hides the sun from the sensor.
+/// Empty if the scene hides the sun from the sensor.
 std::vector<float> compute_angles_from_sun_rad(const WeatherInput& input) {
     const RenderedScan& scan = input.scan;
     const double azimuth_rad = input.weather.sun.azimuth_deg * kPi / 180.0,
@@ -64,9 +60,8 @@ public:
     SunlightEffect(const WeatherInput& input, std::vector<float> angles_rad)
         : sensor_(input.sensor), sun_(input.weather.sun), angles_rad_(std::move(angles_rad)) {}
 
-    /// Adds false returns caused by sunlight: peaks of Gaussian noise above the detection
-    /// threshold. A peak has power^2 = threshold^2 + 2 sigma^2 E, with an exponential
-    /// random number E.
+    /// Peaks of Gaussian noise above the threshold have power^2 = threshold^2 + 2 sigma^2
+    /// E, with an exponential random number E.
     void append_effect_returns(EchoCandidates& candidates, const RayWeatherState& ray,
                                Random& random) const override {
         if (!(ray.free_m > 0.0)) return;
@@ -113,9 +108,8 @@ double compute_sunlight_noise_power(const Sun& sun, const WeatherSensorPropertie
     const double view_sr = kPi * half_rad * half_rad, electrons_per_J = kEfficiency / kPhoton_J;
     const double n =
         irradiance * per_sr * kFilter_nm * view_sr * kReceiver_m2 * sensor.pulse_s * electrons_per_J;
-    // Signal, in electrons, of the laser pulse after reflection by a diffuse surface with
-    // reflectivity 1 at a range of 1 m. Such a surface reflects 1 / pi of the light per
-    // steradian towards the receiver.
+    // Electrons of the pulse after reflection by a diffuse surface with reflectivity 1 at
+    // 1 m, which reflects 1 / pi of the light per steradian.
     const double of_unit_power = kPeak_W * kReceiver_m2 / kPi * sensor.pulse_s * electrons_per_J;
     return std::sqrt(kExcess * n) / of_unit_power;
 }

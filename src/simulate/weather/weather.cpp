@@ -21,7 +21,6 @@
 namespace relidar {
 namespace {
 
-/// Returns the parameters of a weather effect, for example the rain rate.
 std::vector<double> get_effect_parameters(const WeatherEffectEntry& effect, Weather weather) {
     std::vector<double> values;
     for (const WeatherParameter& number : effect.numbers) values.push_back(number.of(weather));
@@ -34,8 +33,7 @@ bool are_effect_values_valid(const WeatherEffectEntry& effect, const std::vector
     return true;
 }
 
-/// Formats a weather effect as text, for example "rain=5". Leaves out optional numbers
-/// that have their default values.
+/// Leaves out optional numbers that have their default values.
 std::string format_weather_effect(const WeatherEffectEntry& effect, const Weather& weather) {
     std::vector<double> values = get_effect_parameters(effect, weather);
     while (values.size() > std::max<std::size_t>(effect.n_required, 1) &&
@@ -48,7 +46,6 @@ std::string format_weather_effect(const WeatherEffectEntry& effect, const Weathe
     fail<UsageError>("weather: found {}, expected {}", word, expected);
 }
 
-/// Parses numbers that are separated by colons.
 /// @return an empty list if a number cannot be read
 std::vector<double> parse_colon_separated_numbers(std::string_view text) {
     std::vector<double> values;
@@ -64,7 +61,6 @@ std::vector<double> parse_colon_separated_numbers(std::string_view text) {
     return values;
 }
 
-/// Parses the text of one weather effect, for example "rain=5".
 void parse_weather_effect(Weather& weather, std::string_view effect_text) {
     const std::size_t equals = std::min(effect_text.find('='), effect_text.size());
     const auto* row =

@@ -21,19 +21,17 @@ constexpr double kWater = 1.33;      // refractive index of water in the near in
 constexpr double kTexture_mm = 1.0;  // depth of the texture of asphalt
 
 constexpr double kCell_m = 2.0;
-// A point belongs to the ground if it is at most this many metres above the lowest point
-// of its cell.
+// Ground points are at most this much above the lowest point of their cell.
 constexpr double kLayer_m = 0.25;
-// maximum root mean square distance in metres of the points from the ground plane
+// Root mean square distance of the points from the plane.
 constexpr double kFlat_m = 0.1;
 constexpr double kSteepest = 0.25;  // maximum slope of ground, rise over run
 constexpr double kFewest = 6.0;     // minimum number of points for a plane
-// Minimum width in metres of the area that the points cover. If the points form a
-// narrower strip, the slope across the strip is unknown. The slope is then set to 0.
+// If the points form a narrower strip, the slope across the strip is unknown, and set to
+// 0.
 constexpr double kWidth_m = 0.2;
 
-/// Sums over the points near the lowest height of a grid cell. A plane is fitted to these
-/// points. Coordinates are relative to the sensor, along the axes of the world.
+/// Sums over points, relative to the sensor, along the axes of the world.
 struct GroundGridCell {
     double lowest_m = std::numeric_limits<double>::infinity();
     double n = 0.0, zz = 0.0;
@@ -79,24 +77,20 @@ GroundPlane fit_ground_plane_to_cell(const GroundGridCell& cell) {
     const glm::dvec2 right = cell.products / cell.n - mean.z * glm::dvec2(mean);
     const glm::dvec2 slope =
         glm::dvec2(yy * right.x - xy * right.y, xx * right.y - xy * right.x) / (xx * yy - xy * xy);
-    // variance of the heights around the plane, slightly increased by the ridge
-    // regularisation
     const double squared_m2 = zz - glm::dot(slope, right);
     return {mean.z - glm::dot(slope, glm::dvec2(mean)), slope,
             squared_m2 < kFlat_m * kFlat_m && glm::length(slope) < kSteepest};
 }
 
-/// Returns the hit point of each ray that hits the background below the sensor, relative
-/// to the sensor. Other rays have NaN.
+/// Relative to the sensor; NaN for rays that do not hit the background below it.
 std::vector<glm::dvec3> compute_background_points_below_sensor(const RenderedScan& scan) {
     const glm::dvec3 none(std::numeric_limits<double>::quiet_NaN());
     std::vector<glm::dvec3> points(scan.median_range_m.size(), none);
     parallel_for_in_blocks(points.size(), [&](std::size_t ray) {
         if (scan.instance[ray] != 0 || !is_ray_returned(scan.image.drop_prob[ray], scan.median_range_m[ray]))
             return;
-        const glm::dvec3 of_sensor(scan.image.origin[ray] +
-                                   scan.median_range_m[ray] * scan.image.direction[ray]);
-        const glm::dvec3 p = scan.get_firing_pose(ray) * of_sensor - scan.world_from_sensor.translation;
+        const glm::dvec3 p =
+            scan.get_firing_pose(ray) * glm::dvec3(scan.end_of(ray)) - scan.world_from_sensor.translation;
         if (p.z < 0.0) points[ray] = p;
     });
     return points;
@@ -116,7 +110,7 @@ GroundGrid make_ground_cells(const std::vector<glm::dvec3>& points) {
     return cells;
 }
 
-/// Fits a plane to the points in the cell of `point` and in the eight cells around it.
+/// Also uses the eight cells around it.
 GroundPlane fit_plane_around_point(const GroundGrid& cells, const glm::dvec3& point) {
     GroundGridCell together;
     for (int dx = -1; dx <= 1; ++dx)
@@ -127,12 +121,9 @@ GroundPlane fit_plane_around_point(const GroundGrid& cells, const glm::dvec3& po
     return fit_ground_plane_to_cell(together);
 }
 
-/// Finds the rays that hit level ground below the sensor. Only background points within
-/// kLayer_m of the lowest point of a cell are candidates. A cell is ground if the
-/// candidates of the 3 x 3 cells around it fit a plane. Ignores the material of the
-/// ground.
-/// @return [rays] unit normal of the ground in the world frame of the dataset, or 0 for
-/// rays without a return from ground
+/// A cell is ground if the candidates of the 3 x 3 cells around it fit a plane. The
+/// material does not matter.
+/// @return [rays] unit normal in the world frame of the dataset, or 0
 std::vector<glm::dvec3> estimate_level_ground_normals(const RenderedScan& scan) {
     const std::vector<glm::dvec3> points = compute_background_points_below_sensor(scan);
     const GroundGrid cells = make_ground_cells(points);
@@ -151,8 +142,7 @@ std::vector<glm::dvec3> estimate_level_ground_normals(const RenderedScan& scan) 
     return normals;
 }
 
-/// Returns the fraction of diffuse light that a water film reflects: the mean reflectance
-/// over all directions, weighted by the cosine.
+/// Diffuse light: the mean over all directions, weighted by the cosine.
 double compute_mean_water_reflectance() {
     constexpr int kParts = 1000;
     double sum = 0.0;
@@ -163,35 +153,28 @@ double compute_mean_water_reflectance() {
     return sum;
 }
 
-/// Effect of wet ground on a ray that hits the ground.
 struct WetGroundRay {
     double through_water = 1.0;  // brightness of the wet ground relative to the dry ground
     LidarEcho mirrored{};        // return of the object that the mirrored ray hits
-    // share of the light that remains after two reflections at the water, one on the way
-    // to the object and one on the way back
+    // light that remains after two reflections at the water
     double mirrors = 0.0;
 };
 
-/// Rays after their reflection by the water.
 struct MirroredRays {
     WorldRays rays;
     std::vector<std::size_t> of_ray;  // index of the ray in its scan
 };
 
-// Rays that the wet ground mirrors start at this height in metres, so that they do not
-// hit the rough ground itself.
+// So that mirrored rays do not hit the rough ground itself.
 constexpr double kLift_m = 0.1;
-// The water on wet ground mirrors rays, which can then hit an object. A hit less than
-// this height in metres above the ground is ignored, because it is part of the ground.
+// Hits below this height belong to the ground.
 constexpr double kLowest_m = 0.3;
 
-// Computes the drop probability of a ray: the softmax of its drop logit and hit logit.
 float compute_drop_probability(const RenderedRayValues& rendering, std::size_t ray_index) {
     return 1.0f / (1.0f + std::exp(rendering.hit_logit[ray_index] - rendering.drop_logit[ray_index]));
 }
 
-/// Computes the brightness of the wet ground, and the rays that the water mirrors. Leaves
-/// out mirrored rays that return less light than the ground.
+/// Leaves out mirrored rays that return less light than the ground.
 MirroredRays mirror_rays_in_wet_ground(const WeatherInput& input,
                                        const std::vector<glm::dvec3>& ground_normals,
                                        std::vector<WetGroundRay>& wet_rays) {
@@ -208,9 +191,8 @@ MirroredRays mirror_rays_in_wet_ground(const WeatherInput& input,
             scan.image.intensity[i] / input.response.compute_intensity_factor_at_range(range_m);
         wet_rays[i].through_water = 1.0 - share + share * compute_wet_reflectance_ratio(cosine, albedo);
         wet_rays[i].mirrors = share * std::pow(compute_water_reflectance(cosine), 2);
-        // A sensor with one return reports the brighter of two: the wet ground
-        // (`through_water` * albedo) or the mirrored object (at most `mirrors`). Skips
-        // the mirrored ray if the object cannot be brighter.
+        // A sensor with one return reports the brighter of the wet ground
+        // (`through_water` * albedo) and the mirrored object (at most `mirrors`).
         if (scan.second_returns.empty() && wet_rays[i].mirrors <= wet_rays[i].through_water * albedo)
             continue;
         wet_rays[i].mirrored.range_m = range_m;
@@ -277,7 +259,7 @@ constexpr WeatherParameter kWetNumbers[] = {
 }  // namespace
 
 double compute_water_reflectance(double cosine) {
-    // cosine of the refracted ray's angle to the normal, by Snell's law
+    // Snell's law
     const double in_water = std::sqrt(1.0 - (1.0 - cosine * cosine) / (kWater * kWater));
     const double across = (cosine - kWater * in_water) / (cosine + kWater * in_water),
                  along = (in_water - kWater * cosine) / (in_water + kWater * cosine);
@@ -285,8 +267,7 @@ double compute_water_reflectance(double cosine) {
 }
 
 double compute_wet_reflectance_ratio(double cosine, double albedo) {
-    // share of the light from the ground that stays in the water film because of total
-    // internal reflection
+    // light that stays in the film because of total internal reflection
     static const double trapped_fraction = 1.0 - (1.0 - compute_mean_water_reflectance()) / (kWater * kWater);
     const double passes = 1.0 - compute_water_reflectance(cosine);
     return passes * passes / (kWater * kWater * (1.0 - std::clamp(albedo, 0.0, 1.0) * trapped_fraction));

@@ -49,9 +49,8 @@ public:
                 !run_.scene.instances[std::size_t(instance)].track.empty())
                 continue;
             const Pose& pose = firing.compute_firing_pose(i);
-            const glm::vec3 point_m =
-                sensor.rays.origin[i] + scan.median_range_m[i] * sensor.rays.direction[i];
-            surfaces[i] = {pose * glm::dvec3(point_m) - offset_m, pose.rotation * glm::dvec3(normals[i])};
+            surfaces[i] = {pose * glm::dvec3(scan.end_of(i)) - offset_m,
+                           pose.rotation * glm::dvec3(normals[i])};
         }
         return surfaces;
     }

@@ -11,8 +11,6 @@ namespace relidar {
 
 inline const glm::dvec3 kCarSize_m(4.0, 2.0, 1.6);
 
-/// Returns random surfels with means inside a box, and with random rotation, size and
-/// direction-dependent brightness.
 inline Surfels make_random_surfels(std::size_t count, const glm::vec3& low_m, const glm::vec3& high_m,
                                    unsigned seed) {
     std::mt19937 random(seed);
@@ -31,15 +29,13 @@ inline Surfels make_random_surfels(std::size_t count, const glm::vec3& low_m, co
     return surfels;
 }
 
-/// Returns sightings of points by rays towards the centre.
 inline ActorObservations from_outside(const std::vector<glm::vec3>& points_m, double nearest_m = 8.0) {
     ActorObservations sightings{points_m, {}, nearest_m};
     for (const glm::vec3& point_m : points_m) sightings.directions.push_back(-glm::normalize(point_m));
     return sightings;
 }
 
-/// Returns a log of three frames with a LiDAR at the origin of the world and a static car
-/// at `world_from_car`.
+/// Three frames with a LiDAR at the origin and a static car.
 inline TrainedRun run_of(Surfels car, const Pose& world_from_car) {
     TrainedRun run;
     const auto n = std::uint32_t(car.size());
@@ -61,8 +57,7 @@ inline TrainedRun run_of(Surfels car, const Pose& world_from_car) {
     return run;
 }
 
-/// Returns opaque plates on the four sides of the car, 5 cm inside its box. Each plate is
-/// a grid of surfels that reflect light.
+/// Opaque plates on the four sides of the car, 5 cm inside its box.
 inline Surfels make_plates() {
     Surfels surfels;
     const auto add = [&](const glm::vec3& at_m, const glm::quat& turn) {

@@ -20,7 +20,6 @@ Surfels make_surfels_anywhere(std::size_t count) {
     return make_random_surfels(count, glm::vec3(-1.0f), glm::vec3(1.0f), 3);
 }
 
-/// Returns the covariance of a disc or an ellipsoid.
 glm::dmat3 compute_covariance(const Surfels& surfels, std::size_t index) {
     const glm::vec4 q = surfels.rotation[index];
     const glm::dmat3 axes = glm::mat3_cast(glm::normalize(glm::dquat(q[0], q[1], q[2], q[3])));
@@ -85,7 +84,6 @@ TEST(Mirror, TwiceIsNoChange) {
     EXPECT_EQ(twice.sh, surfels.sh);
 }
 
-/// Returns rays towards the car from a point 8 m to its right, or to its left if y is -1.
 RayTable make_rays_from_the_right(double y) {
     RayTable rays;
     rays.rows = 40;
@@ -149,7 +147,6 @@ TEST_F(MirroredCar, KeepsWhatWasSeen) {
     }
 }
 
-/// Returns the surfels of the left plate of the car, 5 cm inside its box.
 Surfels left_plate() {
     const Surfels all = make_plates();
     std::vector<std::uint32_t> left;
@@ -158,7 +155,6 @@ Surfels left_plate() {
     return all.reorder(left);
 }
 
-/// Returns a trained run of which the log has seen the given surfels from outside.
 relidar::TrainedRun train_small_run(const Surfels& car, const std::string& category) {
     relidar::TrainedRun run = run_of(car, {});
     run.sequence.boxes[0].category = category;

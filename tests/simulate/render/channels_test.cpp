@@ -30,8 +30,7 @@ const std::vector<glm::vec3>& list_ways(const RenderedScan& scan) {
     return *find_channel_values<glm::vec3>(scan.channels, kVector);
 }
 
-/// Returns a scan whose values encode the channel and the ray: 14 ray + channel. All rays
-/// have a return and almost the same origin.
+/// Values are 14 ray + channel. All rays have a return and almost the same origin.
 RenderedScan make_marked_scan(int count, int first = 0) {
     RenderedScan scan;
     scan.image.rows = 1;
@@ -61,8 +60,6 @@ RenderedScan make_marked_scan(int count, int first = 0) {
     return scan;
 }
 
-/// Checks that entry `index` of a scan has the values that make_marked_scan() assigned to
-/// a ray.
 void expect_marks(const RenderedScan& scan, std::size_t index, int ray) {
     const auto code = float(kStep * ray);
     EXPECT_NEAR(scan.image.range_m[index], code + 1.0f, 1e-3f) << index;
@@ -125,8 +122,7 @@ TEST(Channels, ACellHasThemOfItsRay) {
     }
 }
 
-/// The five sub-rays of a beam hit the same surface at 10 m with equal intensities. The
-/// beam must get the channels of the sub-ray that is nearest to its middle.
+/// The five sub-rays hit the same surface.
 TEST(Channels, ABeamHasThemOfTheSubRayNearestToItsMiddle) {
     RenderedScan parts = make_marked_scan(5);
     parts.median_range_m.assign(5, 10.0f);
@@ -210,8 +206,7 @@ TEST_F(RenderedChannels, AllThatCanBeAskedForAreThere) {
     }
 }
 
-/// The sensor drives along the street, and its head does not tilt. A static surface must
-/// have the velocity of the sensor in the direction of the ray.
+/// The head does not tilt, so the velocity is that of the sensor along the ray.
 TEST_F(RenderedChannels, TheStreetHasTheVelocityOfTheSensor) {
     const RenderedScan rendered_scan = scan();
     const std::vector<float>& velocity = *find_channel_values<float>(rendered_scan.channels, "velocity");

@@ -18,6 +18,7 @@
 
 #include "../../base/codecs/temporary_folder.hpp"
 #include "../../support/device.hpp"
+#include "../plates.hpp"
 
 namespace relidar {
 namespace {
@@ -28,18 +29,10 @@ constexpr double kWall_m = 10.0, kSpeed_mps = 30.0, kFirst_s = 5.0, kPeriod_s = 
 constexpr double kTolerance_m = 2e-3;  // errors of a surfel's plane and of floats
 constexpr int kScans = 3;
 
-/// Returns a run with a wall across x in the dataset's world and a compensated log. The
-/// sensor of the log drives along x and passes the origin at kFirst_s.
+/// A wall across x, and a sensor that drives along x and passes the origin at kFirst_s.
 TrainedRun make_run_towards_wall() {
     TrainedRun run;
-    Surfels& wall = run.scene.surfels;
-    wall.resize(1);
-    wall.mean[0] = {kWall_m, 0.0f, 0.0f};
-    wall.rotation[0] = {std::sqrt(0.5f), 0.0f, std::sqrt(0.5f), 0.0f};
-    wall.log_scale[0] = glm::vec2(std::log(8.0f));
-    wall.opacity_logit[0] = 6.0f;
-    std::fill(wall.sh.begin(), wall.sh.end(), 0.0f);
-    wall.sh[kShCoefficients] = 20.0f;  // hit logit
+    run.scene.surfels = test::make_plate({kWall_m, 0.0f, 0.0f}, glm::vec2(8.0f));
     run.scene.models = {{"background", 0, 1}};
     run.scene.instances = {{0, ""}};
     LidarSequence& log = run.sequence;
@@ -56,7 +49,6 @@ TrainedRun make_run_towards_wall() {
     return run;
 }
 
-/// Returns the position of the sensor along x at a time, computed by hand.
 double compute_sensor_x(double time_s) { return kSpeed_mps * (time_s - kFirst_s) - 8.0; }
 
 struct TimedPoint {
@@ -74,7 +66,6 @@ protected:
         DeviceTest::TearDown();
     }
 
-    /// Writes all scans in all formats.
     void write(const SimulatedSensor& sensor, bool deskew) {
         std::filesystem::remove_all(folder);
         std::filesystem::create_directories(folder);
@@ -89,7 +80,6 @@ protected:
     }
     std::string text(const char* name) const { return read_contents(folder / name); }
 
-    /// Returns the points in the npz file of the first scan.
     std::vector<TimedPoint> points() const {
         const auto arrays = read_npz(folder / "frame_000000.npz");
         const auto values = [&](const char* name) { return find_array(arrays, name)->convert_to_floats(); };
@@ -107,8 +97,6 @@ protected:
         }
         return result;
     }
-    /// Returns x, y, z of all points of a PLY or PCD file. All records have the same
-    /// size.
     /// @param end_of_header text at which the header ends
     std::vector<glm::dvec3> points_of(const char* name, const std::string& end_of_header,
                                       std::size_t count) const {
@@ -123,7 +111,6 @@ protected:
         }
         return result;
     }
-    /// Checks which frame each output file states for its points.
     void expect_statements(bool deskewed) const {
         const char* frame = deskewed ? "sensor at time_s" : "sensor at each ray's firing time";
         EXPECT_THAT(text("frame_000000.ply"), HasSubstr(frame));
@@ -137,8 +124,7 @@ protected:
                         HasSubstr(deskewed ? "sensor at the stamp" : "sensor at each ray's firing time"))
                 << recording;
     }
-    /// Reads the recordings as logs. The transforms and times in the logs must put every
-    /// point on the wall.
+    /// Every point must lie on the wall.
     void expect_recordings(bool rolls) const {
         for (const char* recording : {"scans.mcap", "rosbag.mcap"}) {
             const LidarSequence log = load_sequence((folder / recording).string(), {});
@@ -231,7 +217,6 @@ TEST_F(CompensatedLog, TheSettingGivesItsOwnSensorARollingShutter) {
     for (const auto& [position_m, time_s] : points()) EXPECT_EQ(time_s, kFirst_s);
 }
 
-/// Points that are computed on the device must have the same times and positions.
 TEST_F(CompensatedLog, PointsOfTheServiceToo) {
     ScanRenderer renderer(device(), run);
     for (const char* name : {"native", "VLP-16:96x10"}) {

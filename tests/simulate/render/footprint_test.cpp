@@ -24,7 +24,7 @@ RayTable make_one_ray(const glm::vec3& direction) {
     return rays;
 }
 
-/// Returns a fan of rays in a plane, with divergences of 0, 1, 2, ... milliradians.
+/// Divergences of 0, 1, 2, ... milliradians.
 RayTable make_fan(int count) {
     RayTable rays;
     rays.rows = 1;
@@ -39,8 +39,7 @@ RayTable make_fan(int count) {
     return rays;
 }
 
-/// Returns the mean squared angle between ray `index` and its sub-rays, divided by the
-/// mean squared angle of a uniform disc with a full angle of 1.
+/// Mean squared angle of sub-rays, relative to a uniform disc with a full angle of 1.
 double spread(const RayTable& rays, const RayTable& parts, std::size_t index, std::size_t count) {
     double squares = 0.0;
     for (std::size_t k = 0; k < count; ++k) {
@@ -110,8 +109,7 @@ TEST(Footprint, PartsAreSpreadAsAnEvenlyLitDisc) {
     }
 }
 
-/// Result of a sub-ray of a beam: range, intensity, drop probability, and the distance of
-/// the mean range behind the range.
+/// Range, intensity, drop probability, and distance of the mean range behind the range.
 struct Part {
     float range_m, intensity, drop, spread_m = 0.0f;
 };
@@ -168,8 +166,7 @@ TEST(Footprint, AnEdgeGivesTwoReturnsTheStrongestFirst) {
     EXPECT_NEAR(scan.second_returns[0].intensity[0], 2 * 0.2f / 5, kTolerance);
 }
 
-/// A road at a grazing angle must give a single return, although its ranges differ by
-/// metres within a footprint. Also tests a road with a wall in front of its upper part.
+/// Ranges differ by metres within a footprint.
 TEST(Footprint, ASlopeIsOneReturnHoweverSteep) {
     const RayTable ray = make_one_ray({std::cos(0.04f), 0.0f, -std::sin(0.04f)}),
                    parts = split_rays_into_sub_rays(ray, 9, 4e-3);

@@ -11,6 +11,7 @@
 #include <relidar/simulate/render.hpp>
 
 #include "../../support/device.hpp"
+#include "../plates.hpp"
 #include "simulate/weather/air.hpp"
 
 namespace relidar {
@@ -20,11 +21,9 @@ constexpr double kDegree = kPi / 180.0;
 constexpr int kBeams = 128, kSteps = 192;
 constexpr double kStep_deg = 0.25, kRadius_deg = 2.5;
 
-/// Returns a scan of a wall at 20 m with round reflectors. Rays are at intervals of 0.25
-/// degrees.
-/// @param reflectors position of each reflector as {azimuth_deg, elevation_deg, range_m}
+/// Rays are at intervals of 0.25 degrees.
+/// @param reflectors {azimuth_deg, elevation_deg, range_m}
 RenderedScan make_wall_with(const std::vector<glm::dvec3>& reflectors) {
-    constexpr std::size_t n = std::size_t(kBeams) * kSteps;
     RenderedScan scan;
     scan.image.rows = kBeams;
     scan.image.columns = kSteps;
@@ -44,18 +43,11 @@ RenderedScan make_wall_with(const std::vector<glm::dvec3>& reflectors) {
             scan.ring.push_back(std::uint16_t(row));
         }
     }
-    scan.image.origin.assign(n, glm::vec3(0.0f));
-    scan.image.drop_prob.assign(n, 0.0f);
-    scan.median_range_m = scan.mean_range_m = scan.image.range_m;
-    scan.weight.assign(n, 1.0f);
-    scan.instance.assign(n, 0);
-    scan.time_offset_s.assign(n, 0.0f);
-    return scan;
+    return test::complete(std::move(scan));
 }
 std::size_t ray_at(int row, int column) { return std::size_t(row) * kSteps + std::size_t(column); }
 
-/// Returns the echo of stray light on each ray of a scan. The sensor detects any power.
-/// Returns an empty list if no ray has stray light.
+/// The sensor detects any power. Empty if no ray has stray light.
 std::vector<LidarEcho> compute_stray_light(const RenderedScan& scan, double bloom, std::uint64_t seed) {
     const WeatherSensorProperties sensor{.darkest = 0.0};
     const auto effect = kBlooming.prepare(
@@ -70,8 +62,7 @@ std::vector<LidarEcho> compute_stray_light(const RenderedScan& scan, double bloo
     return stray;
 }
 
-/// Computes the integral of angle^-3 over a round reflector ahead, as a sum over small
-/// squares, in degrees.
+/// Integral of angle^-3 over a round reflector ahead, as a sum over small squares.
 double compute_integral_at(double azimuth_deg, double elevation_deg) {
     constexpr double kFine_deg = 0.05;
     double sum = 0.0;
@@ -120,8 +111,6 @@ TEST(StrayLightOnScans, IsItsIntegralOverTheReflector) {
     EXPECT_TRUE(compute_stray_light(make_wall_with({}), 1e-4, 1).empty());
 }
 
-/// A reflector at twice the range with the same angular size must have a quarter of the
-/// power.
 TEST(StrayLightOnScans, IsOfTheReflectorWithTheMostPower) {
     const RenderedScan scan = make_wall_with({{-8.0, 0.0, 4.0}, {8.0, 0.0, 8.0}});
     const std::vector<LidarEcho> stray = compute_stray_light(scan, 1e-4, 1);
@@ -156,34 +145,13 @@ TEST(StrayLightOnScans, TakesThePlaceOfWeakReturns) {
 
 class GlareInScenes : public test::DeviceTest {};
 
-/// Returns a disc of 2 m at a distance of 12 m ahead. The beams have elevations from -1
-/// to 2.5 degrees.
-Surfels make_disc_ahead() {
-    Surfels disc;
-    disc.resize(1);
-    disc.mean[0] = {12.0f, 0.0f, 0.0f};
-    disc.rotation[0] = {std::sqrt(0.5f), 0.0f, std::sqrt(0.5f), 0.0f};
-    disc.log_scale[0] = glm::vec2(std::log(2.0f));
-    disc.opacity_logit[0] = 6.0f;
-    std::fill(disc.sh.begin(), disc.sh.end(), 0.0f);
-    disc.sh[kShCoefficients] = 20.0f;  // hit logit
-    return disc;
-}
-LidarSequence make_level_beams() {
-    LidarSequence sequence;
-    sequence.lidars[0].sensor.columns = 720;
-    sequence.lidars[0].sensor.first_azimuth_rad = kPi;
-    sequence.rolling_shutter = false;
-    sequence.world_from_vehicle = {{0.0}, {Pose{}}};
-    for (int beam = 0; beam < 8; ++beam)
-        sequence.lidars[0].sensor.beams.push_back({kDegree * (2.5 - 0.5 * beam)});
-    return sequence;
-}
-
 TEST_F(GlareInScenes, TheSunIsNoiseAroundItUnlessAWallHidesIt) {
     const Config config;
-    const LidarSequence sequence = make_level_beams();
-    ScanRenderer renderer(device(), make_background_scene(make_disc_ahead()), config, sequence);
+    std::vector<double> elevations_rad;
+    for (int beam = 0; beam < 8; ++beam) elevations_rad.push_back(kDegree * (2.5 - 0.5 * beam));
+    const LidarSequence sequence = test::make_static_log(elevations_rad, 720);
+    const Surfels disc = test::make_plate({12.0f, 0.0f, 0.0f}, glm::vec2(2.0f));
+    ScanRenderer renderer(device(), make_background_scene(disc), config, sequence);
     const SimulatedSensor sensor = make_sensor_from_config(config, sequence);
     const RenderedScan dark = renderer.render(sensor, 0.0, {}, 1);
     const auto noise_in = [&](const Sun& sun) {

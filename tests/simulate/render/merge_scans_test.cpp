@@ -12,8 +12,6 @@
 namespace relidar {
 namespace {
 
-/// Returns a scan of two rays with different firing times, from a sensor on a vehicle
-/// that drives and turns.
 RenderedScan scan_of(const Pose& rig_from_sensor, float range_m) {
     const Pose start{{1, 0, 0, 0}, {5.0, 0.0, 0.0}},
         end{glm::angleAxis(0.4, glm::dvec3(0, 0, 1)), {7.0, 1.0, 0.0}};
@@ -47,8 +45,7 @@ glm::dvec3 compute_world_point(const RenderedScan& scan, std::size_t index) {
            glm::dvec3(scan.image.origin[index] + scan.image.range_m[index] * scan.image.direction[index]);
 }
 
-/// Returns the same rays in two rows. The last ray of the second row is fired later than
-/// the first ray of its column.
+/// The last ray of the second row is fired later than the first ray of its column.
 RenderedScan arrange_in_two_rows(RenderedScan scan) {
     const auto twice = []<class T>(std::vector<T>& values) {
         const std::vector<T> once = values;

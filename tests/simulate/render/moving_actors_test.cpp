@@ -19,8 +19,7 @@ namespace {
 
 constexpr double kRevolution_s = 0.1;
 
-/// Adds a wall that consists of a single surfel.
-/// @param half_m visible extent of the wall from its middle in each direction
+/// @param half_m visible extent from the middle in each direction
 void add_wall(Surfels& surfels, const glm::vec3& middle_m, const glm::quat& from_x_axis,
               const glm::vec2& half_m) {
     const std::size_t i = surfels.size();
@@ -36,8 +35,6 @@ void add_wall(Surfels& surfels, const glm::vec3& middle_m, const glm::quat& from
     surfels.sh[i * kShFloats + kShCoefficients] = 20.0f;  // hit logit
 }
 
-/// Returns a scene with a single actor and no background.
-/// @param surfels surfels of the actor in the frame of its box
 Scene make_one_actor(const Surfels& surfels, const glm::dvec3& size_m) {
     Scene scene;
     scene.models = {{"background", 0, 0},
@@ -47,8 +44,7 @@ Scene make_one_actor(const Surfels& surfels, const glm::dvec3& size_m) {
     return scene;
 }
 
-/// Returns a log of 1 s with poses of sensor and actor at 40 Hz, and a sensor with a
-/// single horizontal beam.
+/// Poses at 40 Hz, and a sensor with a single horizontal beam.
 template <class PoseAt>
 LidarSequence drive(int columns, const PoseAt& sensor_at, const PoseAt& actor_at, const glm::dvec3& size_m) {
     LidarSequence log;
@@ -70,8 +66,7 @@ LidarSequence drive(int columns, const PoseAt& sensor_at, const PoseAt& actor_at
 
 using PoseAt = std::function<Pose(double)>;
 
-/// Returns the mean range along x of the rays behind the sensor, separately for the rays
-/// at the start and at the end of the sweep.
+/// Separately for the rays at the start and at the end of the sweep.
 std::array<double, 2> measure_halves_behind(const RenderedScan& scan) {
     std::array<double, 2> sum{}, n{};
     for (std::size_t i = 0; i < scan.median_range_m.size(); ++i) {
@@ -96,8 +91,7 @@ protected:
     }
 };
 
-/// The van follows at the speed of the sensor, so its front must be 8 m behind the sensor
-/// for every ray.
+/// Its front must be 8 m behind the sensor for every ray.
 TEST_F(MovingActors, AVanThatFollowsIsNotTornBehindTheSensor) {
     const glm::dvec3 size_m(4.0, 2.0, 2.0);
     Surfels front;
@@ -115,9 +109,7 @@ TEST_F(MovingActors, AVanThatFollowsIsNotTornBehindTheSensor) {
     }
 }
 
-/// Van and sensor drive around a centre 20 m to the left of the sensor, so the van does
-/// not move relative to the sensor. Its front must be 8 m behind the sensor for every
-/// ray.
+/// Both drive around a centre 20 m to the left, so the van stays 8 m behind.
 TEST_F(MovingActors, AVanThatFollowsRoundABendIsNotTorn) {
     const glm::dvec3 size_m(4.0, 2.0, 2.0);
     Surfels front;
@@ -134,8 +126,7 @@ TEST_F(MovingActors, AVanThatFollowsRoundABendIsNotTorn) {
     EXPECT_NEAR(last_m, 8.0, 1e-3);
 }
 
-/// A car passes a static sensor on its left. Two posts on the side of the car, 4 m apart,
-/// must be measured at different times.
+/// Two posts, 4 m apart, are measured at different times.
 TEST_F(MovingActors, ACarThatPassesIsStretchedByItsWay) {
     constexpr double kCarSpeed_mps = 20.0, kLength_m = 4.0;
     const glm::dvec3 size_m(kLength_m, 2.0, 2.0);
@@ -168,8 +159,6 @@ TEST_F(MovingActors, ACarThatPassesIsStretchedByItsWay) {
         << "where the rear is when its ray is fired";
 }
 
-/// All rays of a motion-compensated log have the same time. The actor must be at its
-/// position at this time.
 TEST_F(MovingActors, WithoutRollingShutterActorsStand) {
     const glm::dvec3 size_m(4.0, 2.0, 2.0);
     Surfels front;
@@ -183,9 +172,8 @@ TEST_F(MovingActors, WithoutRollingShutterActorsStand) {
     EXPECT_NEAR(last_m, 8.0, 1e-3);
 }
 
-/// A wall ends straight ahead of the sensor, so it hides the left half of a van. Half of
-/// the light passes the edge of a surfel. The edge is sqrt(2 ln(2 opacity)) standard
-/// deviations from the middle of the surfel.
+/// Half of the light passes the edge of a surfel, at sqrt(2 ln(2 opacity)) standard
+/// deviations.
 TEST_F(MovingActors, AWallHidesHalfOfTheVan) {
     const double edge = std::sqrt(2.0 * std::log(2.0 / (1.0 + std::exp(-6.0))));
     Surfels rear;
@@ -225,8 +213,7 @@ TEST_F(MovingActors, AWallHidesHalfOfTheVan) {
     expect_share(20.0, 1.0);
 }
 
-/// A ray that loses less than half of its light at the edge of a van passes the van,
-/// whether a wall is behind the van or nothing.
+/// A ray that loses less than half of its light at the edge passes the van.
 TEST_F(MovingActors, TheOutlineDoesNotDependOnWhatIsBehind) {
     const double edge = std::sqrt(2.0 * std::log(2.0 / (1.0 + std::exp(-6.0))));
     Surfels rear, wall;
@@ -255,8 +242,7 @@ TEST_F(MovingActors, TheOutlineDoesNotDependOnWhatIsBehind) {
     }
 }
 
-/// The actors of the street, rendered alone, return as many rays as the log measured on
-/// them: the silhouette is exact up to 3 %.
+/// As many rays return as the log measured on them, up to 3 %.
 TEST_F(MovingActors, AloneTheyHaveTheSilhouetteOfTheLog) {
     const LidarSequence log = make_synthetic_street({.n_frames = 5, .rows = 48, .columns = 1024});
     Config config = make_preset_config("quick");
@@ -278,9 +264,7 @@ TEST_F(MovingActors, AloneTheyHaveTheSilhouetteOfTheLog) {
     EXPECT_NEAR(n_returns / n_measured, 1.0, 0.03);
 }
 
-/// A van drives ahead of the sensor in a bend, next to a static wall. The radial velocity
-/// of a point must be the time derivative of its distance, computed from differences of
-/// exact positions.
+/// Next to a static wall. Compares with differences of exact distances.
 TEST_F(MovingActors, TheVelocityIsTheRateOfTheRange) {
     const glm::dvec3 size_m(4.0, 2.0, 2.0);
     Surfels wall, rear;

@@ -13,6 +13,7 @@
 #include <relidar/simulate/place_points.hpp>
 
 #include "../../support/device.hpp"
+#include "../plates.hpp"
 #include "base/random.hpp"
 #include "gpu/context.hpp"
 #include "support/names.hpp"
@@ -36,8 +37,6 @@ protected:
         log.world_offset_m = {455000.0, 5428000.0, 113.0};
         scene = initialise_scene(log, split_frames_into_train_and_test(log, 5).train, {});
     }
-    /// Returns the path of a drive through a bend of the street, in the dataset's world
-    /// frame.
     PoseTrack bend() const {
         PoseTrack track = add_offset_to_track_positions(log.get_world_from_sensor(0), log.world_offset_m);
         for (std::size_t k = 0; k < track.pose.size(); ++k)
@@ -75,8 +74,7 @@ protected:
             ask(wish, &wish == &requests.back() ? ScanRenderer::SubmissionTiming::now
                                                 : ScanRenderer::SubmissionTiming::with_next);
     }
-    /// Returns requests for the scans of a rig with several sensors, some of them equal,
-    /// at two times and with two sets of actors.
+    /// Several sensors, some of them equal, at two times and with two sets of actors.
     std::vector<PointRequest> rig() const {
         std::vector<PointRequest> wishes;
         for (const char* name :
@@ -91,13 +89,18 @@ protected:
         return wishes;
     }
 
+    void train_network(const RayDropImage& image, const RayDropNetworkOptions& options) {
+        renderer->set_drop_network(train_ray_drop_network(
+            device(), {image}, options, 3,
+            [](const RayDropTrainProgress&, const std::function<RayDropTrainState()>&) { return true; }));
+    }
+
     LidarSequence log;
     Scene scene;
     Config config;
     std::optional<ScanRenderer> renderer;
 };
 
-/// Checks that two results are equal bit by bit.
 void expect_equal(const RenderedPoints& actual, const RenderedPoints& expected,
                   const std::string& description) {
     const LidarPoints &p = actual.points, &e = expected.points;
@@ -116,8 +119,7 @@ void expect_equal(const RenderedPoints& actual, const RenderedPoints& expected,
     EXPECT_EQ(p.return_number, e.return_number) << description;
 }
 
-/// Tests rays of a moving and of a static sensor. The rays of a column share a firing
-/// time, or the rows have different times, or the rays have any order.
+/// Columns share a firing time, rows have different times, or rays have any order.
 TEST(FiringPoses, AreThoseOfEachRay) {
     RenderedScan scan;
     scan.time_s = 5.0;
@@ -147,10 +149,8 @@ TEST(FiringPoses, AreThoseOfEachRay) {
         }
 }
 
-/// Compares the points of a sensor that drives and turns by 6 rad/s with double
-/// precision. The rounding error at 80 m is up to 4e-6 m, and
-/// transform_sensor_point_to_world() makes about seven roundings. At 5428 km the rounding
-/// error is 0.25 m.
+/// At 80 m, floats have errors of 4e-6 m, and about seven roundings happen. At 5428 km,
+/// floats have errors of 0.25 m.
 TEST(PlacePoints, LieWhereDoublePrecisionPutsThem) {
     RenderedScan scan;
     scan.time_s = 5.0;
@@ -171,13 +171,7 @@ TEST(PlacePoints, LieWhereDoublePrecisionPutsThem) {
         scan.image.range_m.push_back(float(1.0 + 79.0 * random.sample_uniform_number()));
         scan.time_offset_s.push_back(float(0.14 * random.sample_uniform_number() - 0.07));
     }
-    scan.image.intensity.resize(n);
-    scan.image.drop_prob.resize(n);
-    scan.image.rows = 1;
-    scan.image.columns = int(n);
-    scan.median_range_m = scan.image.range_m;
-    scan.ring.resize(n);
-    scan.instance.resize(n);
+    scan = test::complete(std::move(scan));
     for (const auto& [frame, tolerance_m] : {std::pair(scan.world_from_sensor, 3e-5), {Pose{}, 0.26}}) {
         const LidarPoints points = convert_scan_to_points(scan, Config{}, frame);
         ASSERT_EQ(points.size(), n);
@@ -205,9 +199,8 @@ TEST_F(PointsOfScans, AreThoseOfTheScan) {
         for (const double at_s : {middle_s(), middle_s() + 0.05, middle_s() - 0.4}) {
             const PointRequest wish{sensor("native"), {middle_s(), bend()}, at_s};
             const RenderedPoints expected = on_host(wish);
-            ask(wish);
             EXPECT_LT(expected.points.size(), expected.n_rays) << "some rays are dropped";
-            expect_equal(renderer->wait_for_points(), expected, points);
+            expect_equal(alone(wish), expected, points);
         }
     }
 }
@@ -224,8 +217,7 @@ TEST_F(PointsOfScans, OfASensorThatStandsAndAmongActorsOfTheCaller) {
     expect_equal(renderer->wait_for_points(), empty, "no actor");
 }
 
-/// Two scans of different sensors and positions are always pending. Other scans are
-/// rendered between them. No scan may get points of another scan.
+/// Two scans of different sensors are always pending, with other scans between them.
 TEST_F(PointsOfScans, ManyInFlightDoNotMix) {
     make_renderer();
     const std::vector<SimulatedSensor> sensors = {sensor("native"), sensor("VLP-16:300x10"),
@@ -243,10 +235,8 @@ TEST_F(PointsOfScans, ManyInFlightDoNotMix) {
     }
 }
 
-/// Scans that are rendered together must have the same points as scans that are rendered
-/// alone. Requests more scans than fit into a batch, exactly as many, and fewer. Two rigs
-/// are pending, and a further batch is read before it was submitted. Launches of parallel
-/// scans alternate, so that the test detects arrays that they share by mistake.
+/// More scans than fit into a batch, exactly as many, and fewer. A further batch is read
+/// before it was submitted. Launches alternate, to detect shared arrays.
 TEST_F(PointsOfScans, OfScansSideBySideAreThoseOfEachAlone) {
     for (const ShDirection direction : {ShDirection::surfel, ShDirection::ray}) {
         config.image.sh_direction = direction;
@@ -270,8 +260,7 @@ TEST_F(PointsOfScans, OfScansSideBySideAreThoseOfEachAlone) {
     }
 }
 
-/// Work that uses the device exclusively must first submit the pending scans. A rejected
-/// scan must not affect other scans.
+/// A rejected scan must not affect others.
 TEST_F(PointsOfScans, OfScansSideBySideBesideOthers) {
     make_renderer();
     renderer->set_max_parallel_scans(3);
@@ -299,7 +288,6 @@ TEST_F(PointsOfScans, OfScansSideBySideBesideOthers) {
     expect_equal(alone(wishes[0]), expected[0], "of the next renderer");
 }
 
-/// Tests scans that a ray-drop network corrects, with images of two shapes.
 TEST_F(PointsOfScans, AreDroppedAsTheNetworkSays) {
     make_renderer();
     const std::vector<PointRequest> wishes = {
@@ -312,23 +300,18 @@ TEST_F(PointsOfScans, AreDroppedAsTheNetworkSays) {
     for (std::size_t i = 0; i < scan.median_range_m.size(); ++i)
         image.dropped.push_back(scan.median_range_m[i] > 12.0f ? 1.0f : 0.0f);
     const std::size_t before = on_host(wishes[0]).points.size();
-    renderer->set_drop_network(train_ray_drop_network(
-        device(), {image}, options, 3,
-        [](const RayDropTrainProgress&, const std::function<RayDropTrainState()>&) { return true; }));
+    train_network(image, options);
     const std::vector<RenderedPoints> expected = {on_host(wishes[0]), on_host(wishes[1])};
     EXPECT_NE(expected[0].points.size(), before) << "a network that says something";
     ask(wishes[0]);
     ask(wishes[1]);
     for (const RenderedPoints& scan_expected : expected)
         expect_equal(renderer->wait_for_points(), scan_expected, "refined");
-    // Images of the same shape share as much memory as possible.
     std::vector<PointRequest> beside = {wishes[0], wishes[0], wishes[0], wishes[1]};
     for (std::size_t k = 0; k < 3; ++k) beside[k].request.time_s += 0.1 * double(k);
     std::vector<RenderedPoints> expected_points;
     for (const PointRequest& wish : beside) expected_points.push_back(alone(wish));
     renderer->set_max_parallel_scans(3);
-    // In the first round each scan allocates its memory and waits for the remaining
-    // scans.
     for (int round = 0; round < 2; ++round) {
         ask_together(beside);
         for (const RenderedPoints& scan_expected : expected_points)
@@ -336,7 +319,6 @@ TEST_F(PointsOfScans, AreDroppedAsTheNetworkSays) {
     }
     renderer->set_max_parallel_scans(1);
     std::vector<std::uint64_t> buffers;
-    // the same network processes images of two shapes alternately
     for (int round = 0; round < 3; ++round) {
         expect_equal(alone(beside[2]), expected_points[2], "by turns");
         expect_equal(alone(beside[3]), expected_points[3], "by turns");
@@ -345,8 +327,7 @@ TEST_F(PointsOfScans, AreDroppedAsTheNetworkSays) {
     EXPECT_EQ(buffers[2], buffers[0]) << "memory is found once";
 }
 
-/// Tests beams and sub-rays with a network that was trained to predict a return for all
-/// rays except a single ray.
+/// The network predicts a return for all rays except one.
 TEST_F(PointsOfScans, NetworksBringNothingBackFromBeyondTheLimits) {
     config.sensor.divergence_mrad = 3.0;
     make_renderer();
@@ -357,9 +338,7 @@ TEST_F(PointsOfScans, NetworksBringNothingBackFromBeyondTheLimits) {
                                  list_network_input_channels(options), get_first_vehicle_position(log));
     image.dropped.assign(std::size_t(image.rows) * std::size_t(image.columns), 0.0f);
     image.dropped[0] = 1.0f;  // without a dropped ray, the loss of the network would have no gradient
-    renderer->set_drop_network(train_ray_drop_network(
-        device(), {image}, options, 3,
-        [](const RayDropTrainProgress&, const std::function<RayDropTrainState()>&) { return true; }));
+    train_network(image, options);
     wish.sensor.limits = {2.0, 12.0};
     const auto farthest = [](const RenderedScan& scan) {
         float most_m = 0.0f;
@@ -385,16 +364,13 @@ TEST_F(PointsOfScans, HaveTheStepsOfTheLog) {
     IntensityScatterModel scatter;
     scatter.step = step;
     renderer->set_intensity_scatter_models({scatter});
-    const RenderedPoints expected = on_host(wish);
-    ask(wish);
-    const RenderedPoints actual = renderer->wait_for_points();
-    expect_equal(actual, expected, "steps");
+    const RenderedPoints actual = alone(wish);
+    expect_equal(actual, on_host(wish), "steps");
     for (const float intensity : actual.points.intensity)
         EXPECT_NEAR(double(intensity) / step, std::round(double(intensity) / step), 1e-5);
 }
 
-/// Uses requests that the device cannot complete. They must be completed on the host with
-/// the same result.
+/// The host must complete them with the same result.
 TEST_F(PointsOfScans, OfGridsSubRaysSamplesAndWeatherAreTheSame) {
     config.sensor.divergence_mrad = 3.0;
     make_renderer();
@@ -405,14 +381,11 @@ TEST_F(PointsOfScans, OfGridsSubRaysSamplesAndWeatherAreTheSame) {
                                         {sensor("native"), {middle_s(), bend()}, middle_s(), 7}};
     for (const PointRequest& wish : wishes) {
         const RenderedPoints expected = on_host(wish);
-        ask(wish);
-        expect_equal(renderer->wait_for_points(), expected, wish.sensor.name);
+        expect_equal(alone(wish), expected, wish.sensor.name);
     }
     renderer->set_weather({.fog_visibility_m = 60.0});
     const PointRequest fog{sensor("native"), {middle_s(), bend()}, middle_s()};
-    const RenderedPoints expected = on_host(fog);
-    ask(fog);
-    expect_equal(renderer->wait_for_points(), expected, "fog");
+    expect_equal(alone(fog), on_host(fog), "fog");
 }
 
 TEST_F(PointsOfScans, MayBeLeftBehind) {

@@ -35,8 +35,6 @@ RenderedScan scan_of(const std::vector<glm::vec3>& points, const std::vector<flo
 TEST(ProjectScan, NearestReturnedPointWinsAndOneReturnIsEnough) {
     const RangeImageGrid grid = make_kitti360_grid();
     const glm::vec3 a(10.0f, 0.0f, -0.5f);
-    // The cell contains a far point with a return, a nearer point with a return, and the
-    // nearest point, which is dropped.
     const RenderedScan projected =
         project_points_into_grid_image(scan_of({a, 0.9f * a, 0.5f * a}, {0.1f, 0.2f, 0.9f}), grid);
     const std::size_t cell = std::size_t(*project_to_pixel_index(grid, glm::dvec3(a)));
@@ -70,8 +68,7 @@ TEST(ProjectScan, WhatHedgesBetweenTwoSurfacesIsBinnedByTheDominantOne) {
     EXPECT_NEAR(binned.image.drop_prob[cell], 0.1f, 1e-6f);
 }
 
-/// Returns a scan of a wall 10 m ahead. Incidence is normal at azimuth 0 and oblique
-/// elsewhere. Half of the returns are dropped at random.
+/// Incidence is normal at azimuth 0 and oblique elsewhere.
 RenderedScan make_half_dropped_wall() {
     std::vector<glm::vec3> points;
     for (int row = 0; row < 64; ++row)
@@ -120,8 +117,7 @@ TEST(SampleReturns, DropsAndNoiseAreAsLikelyAsTold) {
         << "four standard deviations of as many coins";
 }
 
-/// A wall 3 cm before the limit of the sensor, with noise of 5 cm. Returns beyond the
-/// limit must be dropped. Their share is 1 - Phi(0.6).
+/// A wall 3 cm before the limit, noise of 5 cm: the share beyond is 1 - Phi(0.6).
 TEST(SampleReturns, NoiseDoesNotPassTheLimitOfTheSensor) {
     RenderedScan scan = make_half_dropped_wall();
     const std::size_t n = scan.image.range_m.size();

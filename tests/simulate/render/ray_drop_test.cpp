@@ -28,8 +28,7 @@ protected:
         options.max_scale_m = 0.5;  // limits the size of surfels, so that some rays miss all surfels
         scene = initialise_scene(log, {0, 1, 2, 3, 4, 5}, options);
     }
-    /// Returns a scan of the street without its cars, from a sensor on the path of the
-    /// log.
+    /// Without cars, from the path of the log.
     RenderedScan scan_of(const RayTable& rays, const RayDropNetwork& network) {
         return scan_of(rays, network,
                        add_offset_to_track_positions(log.get_world_from_sensor(0), log.world_offset_m));
@@ -53,7 +52,6 @@ std::size_t count_returns(const std::vector<float>& drop_prob) {
     return std::size_t(std::ranges::count_if(drop_prob, [](float p) { return p < 0.5f; }));
 }
 
-/// Checks that entry k of the second scan equals ray order[k] of the first scan.
 void expect_same_rays(const RenderedScan& scan, const RenderedScan& other,
                       const std::vector<std::size_t>& order) {
     ASSERT_EQ(other.image.drop_prob.size(), order.size());
@@ -92,9 +90,7 @@ TEST_F(RayDrop, OfOneRayAloneIsThatOfTheRayInAnImage) {
         expect_same_rays(scan, scan_of(select_rays(all, {ray}), test::make_network_of_rays()), {ray});
 }
 
-/// Drops must not depend on the yaw of the sensor. Rotates a static sensor by 180
-/// degrees. The rays in the world are equal, but the order of their azimuths is
-/// different.
+/// A static sensor turned by 180 degrees has the same rays in another order.
 TEST_F(RayDrop, DoesNotDependOnTheSensorsYaw) {
     RayTable all = rays();
     std::fill(all.time_offset_s.begin(), all.time_offset_s.end(), 0.0f);
@@ -119,8 +115,8 @@ TEST_F(RayDrop, DoesNotDependOnTheSensorsYaw) {
                      order);
 }
 
-/// A ray that hits nothing must be dropped. Tests beams, sub-rays, cells of a grid, a
-/// sensor whose rays mostly point into the sky, and points from the device.
+/// Beams, sub-rays, cells of a grid, a sensor that points into the sky, and points from
+/// the device.
 TEST_F(RayDrop, OfRaysThatMeetNothingIsCertain) {
     for (const char* name : {"native", "kitti360", "VLP-16:300x10"})
         for (const int sub_rays : {1, 5})
@@ -158,7 +154,6 @@ TEST_F(RayDrop, OfRaysThatMeetNothingIsCertain) {
             }
 }
 
-/// Fog must produce returns at its range even if no surface is behind it.
 TEST_F(RayDrop, WeatherReturnsWhereSurfacesDoNot) {
     ScanRenderer renderer(device(), scene, config, log);
     renderer.set_drop_network(test::make_network_that_never_drops());

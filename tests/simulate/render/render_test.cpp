@@ -8,76 +8,58 @@
 #include <relidar/simulate/render.hpp>
 
 #include "../../support/device.hpp"
+#include "../plates.hpp"
 
 namespace relidar {
 namespace {
 
-class Render : public test::DeviceTest {};
+class Render : public test::DeviceTest {
+protected:
+    RenderedScan render(const Surfels& surfels, const Config& config, const LidarSequence& sequence,
+                        double time_s = 0.0) {
+        ScanRenderer renderer(device(), make_background_scene(surfels), config, sequence);
+        return renderer.render(make_sensor_from_config(config, sequence), time_s);
+    }
+};
 
-/// Returns a wall 10 m ahead with returns of intensity 0.5.
-Surfels make_wall_ahead() {
-    Surfels wall;
-    wall.resize(1);
-    wall.mean[0] = {10.0f, 0.0f, 0.0f};
-    wall.rotation[0] = {std::sqrt(0.5f), 0.0f, std::sqrt(0.5f), 0.0f};
-    wall.log_scale[0] = glm::vec2(std::log(5.0f));
-    wall.opacity_logit[0] = 6.0f;
-    std::fill(wall.sh.begin(), wall.sh.end(), 0.0f);
-    wall.sh[kShCoefficients] = 20.0f;  // hit logit
-    return wall;
-}
+Surfels make_wall_ahead() { return test::make_plate({10.0f, 0.0f, 0.0f}, glm::vec2(5.0f)); }
 
-/// Returns a log with four horizontal rays from the origin, a quarter turn apart.
-LidarSequence make_cross_sequence() {
-    LidarSequence sequence;
-    sequence.lidars[0].sensor.beams = {{0.0}};
-    sequence.lidars[0].sensor.columns = 4;
-    sequence.lidars[0].sensor.first_azimuth_rad = kPi;
-    sequence.rolling_shutter = false;
-    sequence.world_from_vehicle.time_s = {0.0};
-    sequence.world_from_vehicle.pose = {Pose{}};
-    return sequence;
-}
+LidarSequence make_cross_sequence(int columns = 4) { return test::make_static_log({0.0}, columns); }
 
-/// Returns a post of 8 cm width at 10 m, in front of a wall at 14 m.
 Surfels make_post_before_wall() {
-    Surfels scene = make_wall_ahead();
-    scene.resize(2);
-    for (std::size_t k = 0; k < kShFloats; ++k) scene.sh[kShFloats + k] = scene.sh[k];
+    Surfels scene = test::make_plate({10.0f, 0.0f, 0.0f}, {5.0f, 0.02f});
+    scene.append_surfels(test::make_plate({14.0f, 0.0f, 0.0f}, glm::vec2(5.0f)));
     scene.sh[0] = scene.sh[kShFloats] = 1.0f;  // equal brightness
-    scene.mean = {{10.0f, 0.0f, 0.0f}, {14.0f, 0.0f, 0.0f}};
-    scene.rotation[1] = scene.rotation[0];
-    scene.log_scale[0] = {std::log(5.0f), std::log(0.02f)};  // tall and narrow
-    scene.log_scale[1] = glm::vec2(std::log(5.0f));
-    scene.opacity_logit[1] = scene.opacity_logit[0];
     return scene;
 }
 
-/// Returns the share of a disc that is covered by a strip through its middle.
+std::size_t find_ray_towards(const RayTable& rays, const glm::vec3& direction) {
+    std::size_t best = 0;
+    for (std::size_t i = 0; i < rays.size(); ++i)
+        if (glm::dot(rays.direction[i], direction) > glm::dot(rays.direction[best], direction)) best = i;
+    return best;
+}
+
 /// @param value half of the strip's width divided by the disc's radius
 double compute_strip_share(double value) {
     return 2.0 / kPi * (std::asin(value) + value * std::sqrt(1.0 - value * value));
 }
 
-/// A footprint of 0.2 m diameter hits the post and the wall behind it. Both must be
-/// returned. The edge of the post is where half of the light passes its Gaussian.
+/// The edge of the post is where half of the light passes its Gaussian.
 TEST_F(Render, AFootprintOnAPostReturnsTheWallToo) {
-    LidarSequence sequence;
-    sequence.lidars[0].sensor.beams = {{0.0}};
-    sequence.lidars[0].sensor.columns = 1;
+    LidarSequence sequence = make_cross_sequence(1);
     sequence.lidars[0].sensor.first_azimuth_rad = 0.0;
     sequence.lidars[0].sensor.divergence_rad = 0.02;
-    sequence.world_from_vehicle = {{0.0}, {Pose{}}};
-    const auto render = [&](int sub_rays, int returns) {
+    sequence.rolling_shutter = true;
+    const auto render_post = [&](int sub_rays, int returns) {
         Config config;
         config.sensor.sub_rays = sub_rays;
         config.sensor.returns = returns;
-        ScanRenderer renderer(device(), make_background_scene(make_post_before_wall()), config, sequence);
-        return renderer.render(make_sensor_from_config(config, sequence), 0.0);
+        return render(make_post_before_wall(), config, sequence);
     };
-    EXPECT_NEAR(render(1, 1).median_range_m[0], 10.0f, 1e-3f) << "the middle of the beam meets the post";
-    EXPECT_TRUE(render(9, 1).second_returns.empty());
-    const RenderedScan scan = render(9, 2);
+    EXPECT_NEAR(render_post(1, 1).median_range_m[0], 10.0f, 1e-3f) << "the middle of the beam meets the post";
+    EXPECT_TRUE(render_post(9, 1).second_returns.empty());
+    const RenderedScan scan = render_post(9, 2);
     ASSERT_EQ(scan.image.range_m.size(), 1u);
     EXPECT_NEAR(scan.median_range_m[0], 14.0f, 2e-3f) << "the wider of the two";
     EXPECT_NEAR(scan.second_returns[0].range_m[0], 10.0f, 2e-3f);
@@ -88,8 +70,7 @@ TEST_F(Render, AFootprintOnAPostReturnsTheWallToo) {
     EXPECT_LT(scan.image.drop_prob[0], 0.1f);
 }
 
-/// The beams of a table have different divergence and hit the same post. Only the wide
-/// beam may also measure the wall behind the post.
+/// Only the wide beam may also measure the wall behind the post.
 TEST_F(Render, EachBeamOfATableHasItsOwnFootprint) {
     RayTable rays{1,
                   3,
@@ -114,32 +95,23 @@ TEST_F(Render, SubRaysNeedADivergence) {
     LidarSequence sequence = make_cross_sequence();
     Config config;
     config.sensor.sub_rays = 5;
-    ScanRenderer renderer(device(), make_background_scene(make_wall_ahead()), config, sequence);
-    EXPECT_THROW(renderer.render(make_sensor_from_config(config, sequence), 0.0), UsageError);
+    EXPECT_THROW(render(make_wall_ahead(), config, sequence), UsageError);
     config.sensor.divergence_mrad = 2.0;
-    ScanRenderer with(device(), make_background_scene(make_wall_ahead()), config, sequence);
-    EXPECT_EQ(with.render(make_sensor_from_config(config, sequence), 0.0).image.range_m.size(), 4u);
+    EXPECT_EQ(render(make_wall_ahead(), config, sequence).image.range_m.size(), 4u);
     config.sensor.sub_rays = 1;
     config.sensor.returns = 2;
-    ScanRenderer two(device(), make_background_scene(make_wall_ahead()), config, sequence);
-    EXPECT_THROW(two.render(make_sensor_from_config(config, sequence), 0.0), UsageError);
+    EXPECT_THROW(render(make_wall_ahead(), config, sequence), UsageError);
 }
 
 TEST_F(Render, WallIsWhereItStands) {
-    const Surfels wall = make_wall_ahead();
-    LidarSequence sequence;
-    sequence.lidars[0].sensor.beams = {{0.0}};
-    sequence.lidars[0].sensor.columns = 8;
-    sequence.lidars[0].sensor.first_azimuth_rad = kPi;
-    sequence.world_from_vehicle.time_s = {0.0, 1.0};
+    LidarSequence sequence = make_cross_sequence(8);
+    sequence.rolling_shutter = true;
     // 2 m/s towards the wall
-    sequence.world_from_vehicle.pose = {Pose{}, Pose{{1, 0, 0, 0}, {2.0, 0.0, 0.0}}};
+    sequence.world_from_vehicle = {{0.0, 1.0}, {Pose{}, Pose{{1, 0, 0, 0}, {2.0, 0.0, 0.0}}}};
     Config config;
-    ScanRenderer renderer(device(), make_background_scene(wall), config, sequence);
+    ScanRenderer renderer(device(), make_background_scene(make_wall_ahead()), config, sequence);
     const SimulatedSensor sensor = make_sensor_from_config(config, sequence);
-    std::size_t ahead = 0;
-    for (std::size_t i = 0; i < sensor.rays.size(); ++i)
-        if (sensor.rays.direction[i].x > 0.999f) ahead = i;
+    const std::size_t ahead = find_ray_towards(sensor.rays, {1, 0, 0});
     config.render.range = "normalised";
     const RenderedScan at_half = renderer.render(sensor, 0.5);
     const double fired_at = 0.5 + sensor.rays.time_offset_s[ahead];
@@ -151,19 +123,14 @@ TEST_F(Render, WallIsWhereItStands) {
     EXPECT_NEAR(renderer.render(sensor, 0.5, back).image.range_m[ahead], 13.0 - 2.0 * fired_at, 1e-4);
 }
 
-/// Only a single column of the sensor hits a post. If the head is a column behind in a
-/// sweep, the post must appear in a different column of the image.
+/// Only one column hits a post. If the head is a column behind, another one does.
 TEST_F(Render, TheLogsOwnSensorPointsWhereItsHeadDid) {
     constexpr int kColumns = 64;
     constexpr double kColumn_rad = 2.0 * kPi / kColumns;
-    Surfels post = make_wall_ahead();
-    // The post is 0.1 m wide. At its range, columns are 1 m apart.
-    post.log_scale[0] = {std::log(5.0f), std::log(0.1f)};
-    LidarSequence sequence = make_cross_sequence();
-    SpinningSensor& sensor = sequence.lidars[0].sensor;
-    sensor.beams = {{0.0}};
-    sensor.columns = kColumns;
-    sensor.max_range_m = 80.0;
+    // At the range of the post, columns are 1 m apart.
+    const Surfels post = test::make_plate({10.0f, 0.0f, 0.0f}, {5.0f, 0.1f});
+    LidarSequence sequence = make_cross_sequence(kColumns);
+    sequence.lidars[0].sensor.max_range_m = 80.0;
     sequence.frames = {{0, 0.0, {}}, {1, 1.0, {}}};
     sequence.frames[1].azimuth_shift_rad.assign(kColumns, float(kColumn_rad));
     sequence.world_from_vehicle = {{0.0, 1.0}, {Pose{}, Pose{}}};
@@ -189,20 +156,13 @@ TEST_F(Render, TheLogsOwnSensorPointsWhereItsHeadDid) {
     EXPECT_FALSE(find_or_load_sensor("HDL-32E", config, sequence).follows_sweeps);
 }
 
-/// Two semi-transparent surfaces are in front of a wall. Half of the light is blocked at
-/// the second surface, but most of the light returns from the wall. A dropped ray must
-/// have no range.
+/// Half of the light is blocked at the second surface, but most returns from the wall.
 TEST_F(Render, ModeIsTheHeaviestSurface) {
     Surfels scene;
-    const Surfels wall = make_wall_ahead();
     const float x[] = {6.0f, 8.0f, 10.0f, 10.1f}, opacity[] = {0.3f, 0.35f, 0.5f, 0.9f};
-    scene.resize(4);
     for (std::size_t i = 0; i < 4; ++i) {
-        scene.mean[i] = {x[i], 0.0f, 0.0f};
-        scene.rotation[i] = wall.rotation[0];
-        scene.log_scale[i] = wall.log_scale[0];
+        scene.append_surfels(test::make_plate({x[i], 0.0f, 0.0f}, glm::vec2(5.0f)));
         scene.opacity_logit[i] = std::log(opacity[i] / (1.0f - opacity[i]));
-        std::copy(wall.sh.begin(), wall.sh.end(), scene.sh.begin() + std::ptrdiff_t(i * kShFloats));
     }
     const LidarSequence sequence = make_cross_sequence();
     const float w[] = {0.3f, 0.245f, 0.2275f, 0.20475f};
@@ -222,15 +182,7 @@ TEST_F(Render, ModeIsTheHeaviestSurface) {
     }
 }
 
-std::size_t find_ray_towards(const RayTable& rays, const glm::vec3& direction) {
-    std::size_t best = 0;
-    for (std::size_t i = 0; i < rays.size(); ++i)
-        if (glm::dot(rays.direction[i], direction) > glm::dot(rays.direction[best], direction)) best = i;
-    return best;
-}
-
-/// Range offsets and intensity gains of beams belong to the sensor of the log. They must
-/// be applied to scans of this sensor, and not to scans of a different sensor.
+/// Beams belong to the sensor of the log, and do not change a different sensor.
 TEST_F(Render, LasersMeasureInTheirOwnWay) {
     const Surfels wall = make_wall_ahead();
     LidarSequence sequence = make_cross_sequence();
@@ -243,9 +195,7 @@ TEST_F(Render, LasersMeasureInTheirOwnWay) {
     config.render.range = "normalised";
     ScanRenderer renderer(device(), make_background_scene(wall), config, sequence);
     const SimulatedSensor configured_sensor = make_sensor_from_config(config, sequence);
-    std::size_t ahead = 0;
-    for (std::size_t i = 0; i < 4; ++i)
-        if (configured_sensor.rays.direction[i].x > 0.9f) ahead = i;
+    const std::size_t ahead = find_ray_towards(configured_sensor.rays, {1, 0, 0}) % 4;
     const RenderedScan scan = renderer.render(configured_sensor, 0.0);
     SimulatedSensor ideal = configured_sensor;
     ideal.beams.clear();
@@ -263,8 +213,6 @@ TEST_F(Render, LasersMeasureInTheirOwnWay) {
     EXPECT_EQ(scan.image.range_m[4 + behind], 0.0f) << "nothing stays nothing";
 }
 
-/// A ray must be dropped if its surface lies outside the range limits of the sensor. This
-/// applies to both returns of the ray.
 TEST_F(Render, RangesBeyondTheSensorAreDrops) {
     LidarSequence sequence = make_cross_sequence();
     const Scene scene = make_background_scene(make_wall_ahead());
@@ -305,7 +253,6 @@ TEST_F(Render, LimitsAreTheSensorsAndTheSettings) {
     EXPECT_EQ(make_sensor_from_config(config, sequence).limits.max_m, 80.0) << "of the grid's convention";
 }
 
-/// Returns a plate 4 m ahead that blocks 30 % of the light, and the wall behind it.
 Surfels make_faint_plate_before_wall() {
     Surfels surfels = make_wall_ahead();
     surfels.append_surfels(make_wall_ahead());
@@ -314,15 +261,13 @@ Surfels make_faint_plate_before_wall() {
     return surfels;
 }
 
-/// A ray hits a faint plate in front of the wall. The mean range lies between plate and
-/// wall. The point must lie on the dominant surface, which is the wall.
+/// The mean range lies between plate and wall, but the point on the wall.
 TEST_F(Render, PointsLieOnTheDominantSurface) {
     Surfels surfels = make_faint_plate_before_wall();
     const LidarSequence sequence = make_cross_sequence();
     Config config;
     const SimulatedSensor sensor = make_sensor_from_config(config, sequence);
-    const RenderedScan scan =
-        ScanRenderer(device(), make_background_scene(surfels), config, sequence).render(sensor, 0.0);
+    const RenderedScan scan = render(surfels, config, sequence);
     const std::size_t ahead = find_ray_towards(sensor.rays, {1, 0, 0}),
                       behind = find_ray_towards(sensor.rays, {-1, 0, 0});
     EXPECT_NEAR(scan.image.range_m[ahead], 0.3 * 4.0 + 0.7 * 10.0, 0.05);
@@ -332,16 +277,13 @@ TEST_F(Render, PointsLieOnTheDominantSurface) {
     EXPECT_EQ(select_point_ranges(scan, config), scan.image.range_m);
 
     surfels.opacity_logit.assign(2, -1.5f);  // T stays above 0.5
-    const RenderedScan faint =
-        ScanRenderer(device(), make_background_scene(surfels), config, sequence).render(sensor, 0.0);
+    const RenderedScan faint = render(surfels, config, sequence);
     EXPECT_NEAR(faint.median_range_m[ahead], (4.0 + 0.818 * 10.0) / 1.818, 1e-2)
         << "a point without a surface is no point at the sensor";
     EXPECT_EQ(faint.median_range_m[behind], 0.0f);
 }
 
-/// With two surfaces, the mean range lies between them. Its exact distance from the
-/// farther surface must be reported as the spread, for any choice of the image's range.
-/// With a single surface, the spread must be zero.
+/// For any range of the image, relative to the farther surface.
 TEST_F(Render, SpreadTellsEdgesFromSurfacesWhateverRangeTheImageHas) {
     const Surfels surfels = make_faint_plate_before_wall();
     const LidarSequence sequence = make_cross_sequence();
@@ -349,9 +291,7 @@ TEST_F(Render, SpreadTellsEdgesFromSurfacesWhateverRangeTheImageHas) {
     const SimulatedSensor sensor = make_sensor_from_config(config, sequence);
     const std::size_t ahead = find_ray_towards(sensor.rays, {1, 0, 0}),
                       behind = find_ray_towards(sensor.rays, {-1, 0, 0});
-    const RenderedScan plane =
-        ScanRenderer(device(), make_background_scene(make_wall_ahead()), config, sequence)
-            .render(sensor, 0.0);
+    const RenderedScan plane = render(make_wall_ahead(), config, sequence);
     EXPECT_NEAR(compute_range_spread(plane)[ahead], 0.0f, 1e-4f);
     // The share of the light is 0.3 for the plate. For the wall, it is the remainder
     // times the maximum opacity of a surfel.
@@ -360,8 +300,7 @@ TEST_F(Render, SpreadTellsEdgesFromSurfacesWhateverRangeTheImageHas) {
     std::vector<RayDropImage> drop_images;
     for (const char* range : {"normalised", "expected", "median", "mode"}) {
         config.render.range = range;
-        const RenderedScan scan =
-            ScanRenderer(device(), make_background_scene(surfels), config, sequence).render(sensor, 0.0);
+        const RenderedScan scan = render(surfels, config, sequence);
         EXPECT_NEAR(compute_range_spread(scan)[ahead], 10.0 - (0.3 * 4.0 + wall * 10.0) / weight, 1e-3)
             << range;
         EXPECT_EQ(compute_range_spread(scan)[behind], 0.0f) << range;
@@ -375,11 +314,8 @@ TEST_F(Render, SpreadTellsEdgesFromSurfacesWhateverRangeTheImageHas) {
     }
 }
 
-/// A sensor moves while its head turns. The pose at the firing time of each ray must put
-/// the point of the ray on the static wall.
 TEST_F(Render, FiringPosesPutPointsWhereThingsStand) {
-    LidarSequence sequence = make_cross_sequence();
-    sequence.lidars[0].sensor.columns = 64;
+    LidarSequence sequence = make_cross_sequence(64);
     sequence.world_from_vehicle = {
         {0.0, 1.0}, {Pose{}, Pose{glm::angleAxis(1.0, glm::dvec3(0, 0, 1)), {4.0, -1.0, 0.0}}}};
     sequence.world_offset_m = {100.0, 0.0, 0.0};
@@ -392,10 +328,7 @@ TEST_F(Render, FiringPosesPutPointsWhereThingsStand) {
         std::size_t met = 0;
         for (std::size_t i = 0; i < scan.image.range_m.size(); ++i) {
             if (!(scan.median_range_m[i] > 0.0f)) continue;
-            const glm::dvec3 p =
-                scan.get_firing_pose(i) *
-                glm::dvec3(scan.image.origin[i] + scan.median_range_m[i] * scan.image.direction[i]);
-            EXPECT_NEAR(p.x, 110.0, 1e-4);
+            EXPECT_NEAR((scan.get_firing_pose(i) * glm::dvec3(scan.end_of(i))).x, 110.0, 1e-4);
             ++met;
         }
         EXPECT_GT(met, 5u);
@@ -405,25 +338,19 @@ TEST_F(Render, FiringPosesPutPointsWhereThingsStand) {
     }
 }
 
-/// The test computes the normal of the wall and its incidence exactly. For any
-/// orientation, motion and binning of the sensor, the normal must be in the sensor's
-/// frame and face the sensor.
+/// For any orientation, motion and binning of the sensor. The test computes the normal
+/// exactly.
 TEST_F(Render, NormalsFaceTheSensorInItsOwnFrame) {
-    LidarSequence sequence = make_cross_sequence();
-    sequence.lidars[0].sensor.columns = 64;
+    LidarSequence sequence = make_cross_sequence(64);
     sequence.rolling_shutter = true;
     sequence.world_from_vehicle = {
         {0.0, 1.0},
         {Pose{}, Pose{glm::angleAxis(1.0, glm::normalize(glm::dvec3(0.1, 0.2, 1))), {4.0, -1.0, 0.0}}}};
     Config config;
     const SimulatedSensor sensor = make_sensor_from_config(config, sequence);
-    EXPECT_TRUE(ScanRenderer(device(), make_background_scene(make_wall_ahead()), config, sequence)
-                    .render(sensor, 0.5)
-                    .channels.empty());
+    EXPECT_TRUE(render(make_wall_ahead(), config, sequence, 0.5).channels.empty());
     config.render.channels = "normal";
-    const RenderedScan scan =
-        ScanRenderer(device(), make_background_scene(make_wall_ahead()), config, sequence)
-            .render(sensor, 0.5);
+    const RenderedScan scan = render(make_wall_ahead(), config, sequence, 0.5);
     const std::vector<glm::vec3>& normal = *find_channel_values<glm::vec3>(scan.channels, "normal");
     ASSERT_EQ(normal.size(), scan.instance.size());
     std::size_t met = 0;
@@ -443,9 +370,7 @@ TEST_F(Render, NormalsFaceTheSensorInItsOwnFrame) {
     for (std::size_t i = 0; i < of_cells.size(); ++i)
         EXPECT_NEAR(glm::length(of_cells[i]), binned.instance[i] < 0 ? 0.0f : 1.0f, 1e-6f);
     config.render.channels = "incidence";
-    const RenderedScan again =
-        ScanRenderer(device(), make_background_scene(make_wall_ahead()), config, sequence)
-            .render(sensor, 0.5);
+    const RenderedScan again = render(make_wall_ahead(), config, sequence, 0.5);
     const std::vector<float>& incidence = *find_channel_values<float>(again.channels, "incidence");
     for (std::size_t i = 0; i < normal.size(); ++i) {
         const glm::dvec3 in_world = again.get_firing_pose(i).rotation * glm::dvec3(again.image.direction[i]);
@@ -456,23 +381,14 @@ TEST_F(Render, NormalsFaceTheSensorInItsOwnFrame) {
                  UsageError);
 }
 
-/// Returns a wall behind the sensor on its right, and a plate that is placed twice. The
-/// first plate is ahead of the sensor. The second plate is behind the sensor and turned
-/// to face it. The brightness of the plate depends on the direction.
+/// A wall behind the sensor on its right, and a plate ahead and, turned, behind. Its
+/// brightness depends on the direction.
 Scene make_two_placements(LidarSequence& sequence) {
-    Surfels surfels;
-    surfels.resize(2);
-    surfels.mean = {{0.0f, -6.0f, 0.0f}, {0.5f, 0.0f, 0.0f}};
-    // normals along y, x
-    surfels.rotation = {{std::sqrt(0.5f), std::sqrt(0.5f), 0.0f, 0.0f},
-                        {std::sqrt(0.5f), 0.0f, std::sqrt(0.5f), 0.0f}};
-    std::fill(surfels.opacity_logit.begin(), surfels.opacity_logit.end(), 6.0f);
-    std::fill(surfels.sh.begin(), surfels.sh.end(), 0.0f);
-    // the intensity depends on x of the ray direction: bright for one sign, dark for the
-    // opposite sign
+    Surfels surfels = test::make_plate({0.0f, -6.0f, 0.0f}, glm::vec2(1.0f));
+    surfels.rotation[0] = {std::sqrt(0.5f), std::sqrt(0.5f), 0.0f, 0.0f};  // normal along y
+    surfels.append_surfels(test::make_plate({0.5f, 0.0f, 0.0f}, glm::vec2(1.0f)));
+    // bright for one sign of x of the direction, dark for the other
     surfels.sh[kShFloats + 3] = -0.5f;
-    surfels.sh[kShFloats + kShCoefficients] = 20.0f;  // hit logit
-    surfels.sh[kShCoefficients] = 20.0f;
     Scene scene;
     scene.surfels = surfels;
     scene.models = {{"background", 0, 1}, {"plate", 1, 1}};

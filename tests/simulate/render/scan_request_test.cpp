@@ -8,38 +8,28 @@
 #include <relidar/simulate/render.hpp>
 
 #include "../../support/device.hpp"
+#include "../plates.hpp"
 #include "support/names.hpp"
 
 namespace relidar {
 namespace {
 
 constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
-// origin of relidar's world in the dataset
 const glm::dvec3 kDatasetOrigin_m(455000.0, 5428000.0, 113.0);
 
-/// Returns a wall 10 m ahead of the world's origin and an actor "car". The car is a plate
-/// of 2 m perpendicular to its x axis. Both objects have returns.
+/// A wall 10 m ahead, and a plate of 2 m perpendicular to its x axis. Both have returns.
 Scene make_wall_and_car() {
     Scene scene;
-    scene.surfels.resize(2);
-    scene.surfels.mean = {{10.0f, 0.0f, 0.0f}, {0.0f, 0.0f, 0.0f}};
-    scene.surfels.rotation.assign(2, {std::sqrt(0.5f), 0.0f, std::sqrt(0.5f), 0.0f});  // normals along x
-    scene.surfels.log_scale = {glm::vec2(std::log(5.0f)), glm::vec2(std::log(1.0f))};
-    scene.surfels.opacity_logit.assign(2, 6.0f);
-    scene.surfels.sh.assign(2 * kShFloats, 0.0f);
-    // hit logit
-    for (std::size_t i = 0; i < 2; ++i) scene.surfels.sh[i * kShFloats + kShCoefficients] = 20.0f;
+    scene.surfels = test::make_plate({10.0f, 0.0f, 0.0f}, glm::vec2(5.0f));
+    scene.surfels.append_surfels(test::make_plate({}, glm::vec2(1.0f)));
     scene.models = {{"background", 0, 1}, {"car", 1, 1}};
     scene.instances = {{0, ""}, {1, "car"}};
     return scene;
 }
 
-/// Returns a log in which sensor and car are static for a second.
 LidarSequence make_standing_log() {
-    LidarSequence sequence;
-    sequence.lidars[0].sensor.beams = {{0.0}};
-    sequence.lidars[0].sensor.columns = 8;
-    sequence.lidars[0].sensor.first_azimuth_rad = kPi;
+    LidarSequence sequence = test::make_static_log({0.0}, 8);
+    sequence.rolling_shutter = true;
     sequence.world_from_vehicle = {{0.0, 1.0}, {Pose{}, Pose{}}};
     sequence.world_offset_m = kDatasetOrigin_m;
     sequence.boxes = {{"car",

@@ -81,8 +81,6 @@ TEST_F(Seen, BinnedAndMergedScansKeepIt) {
     EXPECT_NEAR(both.unseen_share.value(), (*native_scan.unseen_share + *below.unseen_share) / 2.0, 1e-12);
 }
 
-/// Most rays of a scan without background hit nothing, so their path says nothing about
-/// the scan.
 TEST_F(Seen, AScanWithoutBackgroundHasNoShare) {
     const SimulatedSensor sensor = find_or_load_sensor("native", config, log);
     const double time_s = log.frames[std::size_t(split.test[0])].time_s;

@@ -27,8 +27,7 @@ RayTable make_spinning_rays(int columns) {
     return make_rays(sensor);
 }
 
-/// Returns a track far from the origin that turns about all axes. Its poses have uneven
-/// time intervals.
+/// Far from the origin, turns about all axes, uneven time intervals.
 PoseTrack bend(double rad_per_s, int count, double step_s = 0.03) {
     PoseTrack track;
     for (int k = 0; k < count; ++k) {
@@ -56,8 +55,7 @@ double measure_largest_error(Device& device, const RayTable& rays, const PoseTra
     return farthest;
 }
 
-/// Fired rays must start at the pose of the sensor at their firing time. At 400 m from
-/// the origin, neighbouring floats differ by 3e-5 m. An error of 5e-7 in a direction is
+/// At 400 m, neighbouring floats differ by 3e-5 m. An error of 5e-7 in a direction is
 /// 0.04 mm at 80 m.
 TEST_F(SensorRaysTest, AreFiredFromWhereTheSensorIsThen) {
     const RayTable rays = make_spinning_rays(301);  // fired from -0.05 to 0.05 s
@@ -84,8 +82,7 @@ TEST_F(SensorRaysTest, OnlyPosesOfTheSweepGoUp) {
     EXPECT_LE(poses.size(), 6u);
 }
 
-/// Returns random rendered rays: near and far rays with strong hits, weak hits, and no
-/// hit.
+/// Strong hits, weak hits, and no hit.
 std::vector<shared::RenderedRay> make_random_rendering(std::size_t count) {
     std::mt19937 random(5);
     std::uniform_real_distribution<float> uniform(0.0f, 1.0f);
@@ -185,8 +182,7 @@ TEST_F(SensorRaysTest, AreMeasuredAsBeamLimitsAndDropLogitsSay) {
     }
 }
 
-/// Rays must be uploaded again if a different sensor uses the same rays, or if different
-/// rays have the same size.
+/// The sensor differs, or different rays have the same size.
 TEST_F(SensorRaysTest, AreTakenAnewWhereTheyDiffer) {
     RayTable rays = make_spinning_rays(16);
     shared::RenderedRay wall{};
@@ -215,7 +211,6 @@ TEST_F(SensorRaysTest, AreTakenAnewWhereTheyDiffer) {
     EXPECT_NEAR(drop_of_first(), 0.25f, 1e-6f);
 }
 
-/// Returns a smooth surface with a step.
 std::vector<shared::RenderedRay> make_rendered_room(const RayTable& rays) {
     std::vector<shared::RenderedRay> rendered = make_random_rendering(rays.size());
     for (std::size_t i = 0; i < rays.size(); ++i) {

@@ -10,8 +10,8 @@ namespace {
 
 constexpr double kOffset_m = 500.0;
 
-/// Returns a scene with a van of 4 x 2 x 1.6 m, 10 m ahead of the origin. The log has
-/// observed the rear to the left of `rear_y_m`, and all other sides completely.
+/// A van of 4 x 2 x 1.6 m, 10 m ahead. The log has observed all but a part of its rear,
+/// to the right of `rear_y_m`.
 Scene make_van_scene(double rear_y_m) {
     Scene scene;
     scene.models = {{"background", 0, 0, {}}, {"van", 0, 0, {2.0f, 1.0f, 0.8f}}};
@@ -37,8 +37,7 @@ LidarSequence make_van_sequence() {
     return sequence;
 }
 
-/// Returns a scan with rays to a grid of points on the plane of the van's rear, x = 8 m.
-/// The points are 0.1 m apart. 20 x 16 of these points are on the rear.
+/// Rays to points 0.1 m apart on the plane of the rear, x = 8 m; 20 x 16 are on the rear.
 /// @param return_m range of all returns; 0 if no ray returns
 RenderedScan make_grid_scan(float return_m) {
     RenderedScan scan;

@@ -12,6 +12,7 @@
 #include <relidar/simulate/render.hpp>
 
 #include "../../support/device.hpp"
+#include "../plates.hpp"
 #include "simulate/weather/air.hpp"
 
 namespace relidar {
@@ -20,24 +21,17 @@ namespace {
 constexpr int kRays = 20'000;
 constexpr std::int32_t kNothing = -1, kSurface = 0, kFog = 1;
 
-/// Returns a scan of a wall in which every tenth ray has no return. All channels of the
-/// hits refer to actor 3. With two returns, both returns are from panes of the wall.
+/// Every tenth ray has no return. Channels of the hits refer to actor 3. Two returns are
+/// from two panes.
 RenderedScan make_wall_at(float range_m, float intensity, bool two_returns = false, int n_rays = kRays) {
     const auto n = std::size_t(n_rays);
     RenderedScan scan;
-    scan.image.rows = 1;
-    scan.image.columns = n_rays;
-    scan.image.origin.assign(n, glm::vec3(0.0f));
     scan.image.direction.assign(n, glm::vec3(1.0f, 0.0f, 0.0f));
     scan.image.range_m.assign(n, range_m);
     scan.image.intensity.assign(n, intensity);
     scan.image.drop_prob.assign(n, 0.25f);
     for (std::size_t i = 0; i < n; i += 10) scan.image.drop_prob[i] = 0.75f;
-    scan.median_range_m = scan.mean_range_m = scan.image.range_m;
-    scan.weight.assign(n, 1.0f);
     scan.instance.assign(n, 3);
-    scan.ring.assign(n, 0);
-    scan.time_offset_s.assign(n, 0.0f);
     scan.channels = {{{.name = "of_surface", .none = -2.0}, std::vector<float>(n, 7.0f)},
                      {{.name = "of_ray", .of_ray = true, .none = -2.0}, std::vector<float>(n, 7.0f)}};
     if (two_returns) {
@@ -46,10 +40,9 @@ RenderedScan make_wall_at(float range_m, float intensity, bool two_returns = fal
         for (std::size_t i = 0; i < n; i += 10)
             scan.second_returns[0].range_m[i] = scan.second_returns[0].intensity[i] = 0.0f;
     }
-    return scan;
+    return test::complete(std::move(scan));
 }
 
-/// Parameters of apply_weather() that differ between tests.
 struct Applied {
     Weather weather = {};
     WeatherSensorProperties sensor = {};
@@ -89,8 +82,7 @@ TEST(WeatherOnScans, ClearAirChangesNoBit) {
         ASSERT_EQ(get_sources(scan)[i], i % 10 == 0 ? kNothing : kSurface);
 }
 
-/// Also tests a sensor that reports half the brightness for the same surface at this
-/// range. The tolerance is 0.01.
+/// Also a sensor that reports half the brightness for the same surface.
 TEST(WeatherOnScans, AWallIsDarkerByTheFormula) {
     for (const double fall : {1.0, 0.5}) {
         RenderedScan scan = make_wall_at(8.0f, 0.8f);
@@ -138,9 +130,8 @@ TEST(WeatherOnScans, WhatReturnsFromTheAirSaysSo) {
     EXPECT_GT(fog, kRays / 2);
 }
 
-/// Returns that are too weak must be dropped. After 40 m of fog in both directions, 2e-2
-/// of the light remains. The wall has a power of 3e-3, which is below the weakest
-/// detectable return.
+/// 40 m of fog in both directions let 2e-2 of the light pass; the wall has a power of
+/// 3e-3.
 TEST(WeatherOnScans, WhatIsTooWeakIsDropped) {
     WeatherSensorProperties sensor;
     sensor.min_range_m = 39.9;  // excludes returns of the fog
@@ -182,8 +173,7 @@ TEST(WeatherOnScans, SecondReturnsSayWhyTheyAreThere) {
     }
 }
 
-/// The same seed must give the same scan on any number of threads. Threads process blocks
-/// of 4096 rays, so that a scan of 4096 rays uses only one thread.
+/// Threads process blocks of 4096 rays.
 TEST(WeatherOnScans, TheSameSeedIsTheSameOnAnyNumberOfThreads) {
     const Weather weather{.fog_visibility_m = 100.0, .rain_mm_h = 20.0};
     RenderedScan a = make_wall_at(40.0f, 0.1f), b = a, other = a,
@@ -216,8 +206,7 @@ protected:
     Config config;
 };
 
-/// Weather needs the brightness of surfaces. In a log without intensities, the air would
-/// be brighter than all surfaces, so the request must be rejected.
+/// Without intensities, the air would be brighter than all surfaces.
 TEST_F(RenderedWeather, NeedsALogWithIntensities) {
     ScanRenderer renderer(device(), scene, config, log);
     IntensityScatterModel scatter{.nodes = {{.first = 0, .count = 2}}, .values = {0.0f, 0.0f}};
@@ -229,9 +218,7 @@ TEST_F(RenderedWeather, NeedsALogWithIntensities) {
     EXPECT_NO_THROW(renderer.set_weather({.fog_visibility_m = 30.0}));
 }
 
-/// The share of rays with returns from the air must not depend on the number format of
-/// the intensities of the log. In fog of 1 km, less than 0.5 % of the rays of a VLP-16
-/// have such a return.
+/// In fog of 1 km, less than 0.5 % of the rays of a VLP-16 return from the air.
 TEST_F(RenderedWeather, DoesNotDependOnTheFormatOfIntensities) {
     std::vector<double> in_fog;
     for (const double step : {0.0, 1.0 / 255.0, 0.01}) {
@@ -256,8 +243,7 @@ TEST_F(RenderedWeather, DoesNotDependOnTheFormatOfIntensities) {
     EXPECT_LT(std::ranges::max(in_fog), 1.5 * std::ranges::min(in_fog));
 }
 
-/// Fog stands still, snow falls at 1 m/s, and rain falls at up to 9.65 m/s. The sensor
-/// drives towards them.
+/// Fog stands still, snow falls at 1 m/s, and rain at up to 9.65 m/s.
 TEST_F(RenderedWeather, HasTheVelocityOfTheAir) {
     config.render.channels = "velocity";
     ScanRenderer renderer(device(), scene, config, log);

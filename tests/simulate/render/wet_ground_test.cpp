@@ -10,32 +10,18 @@
 #include <relidar/simulate/render.hpp>
 
 #include "../../support/device.hpp"
+#include "../plates.hpp"
 
 namespace relidar {
 namespace {
 
 class WetGroundOnScans : public test::DeviceTest {};
 
-/// Returns a level disc with returns of intensity 0.5 + 0.28 times the coefficient.
-Surfels make_disc(float scale_m, float coefficient) {
-    Surfels disc;
-    disc.resize(1);
-    disc.mean[0] = glm::vec3(0.0f);
-    disc.rotation[0] = {1.0f, 0.0f, 0.0f, 0.0f};
-    disc.log_scale[0] = glm::vec2(std::log(scale_m));
-    disc.opacity_logit[0] = 6.0f;
-    std::fill(disc.sh.begin(), disc.sh.end(), 0.0f);
-    disc.sh[0] = coefficient;
-    disc.sh[kShCoefficients] = 20.0f;  // hit logit
-    return disc;
-}
-
-/// Returns dark level ground half a metre below the sensor, built from opaque discs at
-/// intervals of 1 m. A wall of intensity 0.5 stands on the ground, 12 m ahead.
+/// Dark ground half a metre below the sensor, and a wall of intensity 0.5, 12 m ahead.
 Surfels make_ground_before_wall() {
-    Surfels scene = make_disc(3.0f, 0.0f), disc = make_disc(0.5f, -1.4f);
-    scene.mean[0] = {12.0f, 0.0f, -0.5f};
-    scene.rotation[0] = {std::sqrt(0.5f), 0.0f, std::sqrt(0.5f), 0.0f};
+    Surfels scene = test::make_plate({12.0f, 0.0f, -0.5f}, glm::vec2(3.0f));
+    Surfels disc = test::make_plate({}, glm::vec2(0.5f), true);
+    disc.sh[0] = -1.4f;
     for (int x = -20; x < 12; ++x) {
         for (int y = -12; y <= 12; ++y) {
             disc.mean[0] = {float(x), float(y), -0.5f};
@@ -45,21 +31,15 @@ Surfels make_ground_before_wall() {
     return scene;
 }
 
-/// Returns a log of a sensor with eight beams that point down by 3.6 to 5.7 degrees.
+/// Eight beams that point down by 3.6 to 5.7 degrees.
 LidarSequence make_sequence_looking_down() {
-    LidarSequence sequence;
-    sequence.lidars[0].sensor.columns = 360;
-    sequence.lidars[0].sensor.first_azimuth_rad = kPi;
-    sequence.rolling_shutter = false;
-    sequence.world_from_vehicle = {{0.0}, {Pose{}}};
-    for (int beam = 0; beam < 8; ++beam)
-        sequence.lidars[0].sensor.beams.push_back({-kPi / 180.0 * (3.6 + 0.3 * beam)});
-    return sequence;
+    std::vector<double> elevations_rad;
+    for (int beam = 0; beam < 8; ++beam) elevations_rad.push_back(-kPi / 180.0 * (3.6 + 0.3 * beam));
+    return test::make_static_log(elevations_rad, 360);
 }
 
-/// If the ground mirrors a ray onto the wall, the point must lie on the mirror image of
-/// the wall, on the straight line below the ground. This happens if the mirrored light of
-/// the wall is stronger than the light of the ground, which water darkens.
+/// The point lies on the mirror image of the wall below the ground, if that is brighter
+/// than the ground, which water darkens.
 TEST_F(WetGroundOnScans, IsDarkerAndMirrorsAWall) {
     const Config config;
     const LidarSequence sequence = make_sequence_looking_down();
@@ -103,8 +83,7 @@ TEST_F(WetGroundOnScans, IsDarkerAndMirrorsAWall) {
     EXPECT_EQ(renderer.render(sensor, 0.0).image.intensity, dry.image.intensity);
 }
 
-/// The mirror image of a static wall stands still below the ground, so the range to it
-/// falls by the speed of the sensor along the ray.
+/// The range to the mirror image falls by the speed of the sensor along the ray.
 TEST_F(WetGroundOnScans, MirrorImagesHaveTheVelocityOfTheirObjects) {
     Config config;
     config.render.channels = "velocity";

@@ -10,18 +10,15 @@
 #include <relidar/simulate/scan_files.hpp>
 
 #include "../../base/codecs/temporary_folder.hpp"
+#include "../plates.hpp"
 
 namespace relidar {
 namespace {
 
 using ExrScans = TemporaryFolder;
 
-/// Returns four rays of two beams. A ray is dropped, and a different ray has a second
-/// return.
 RenderedScan make_four_rays() {
     RenderedScan scan;
-    scan.image.rows = 1;
-    scan.image.columns = 4;
     scan.image.range_m = {10.0f, 12.0f, 7.0f, 55.125f};
     scan.image.intensity = {0.5f, 1.0f, 0.25f, 0.125f};
     scan.image.drop_prob = {0.0f, 0.1f, 0.9f, 0.4f};
@@ -29,13 +26,12 @@ RenderedScan make_four_rays() {
     scan.image.direction = {{1, 0, 0}, {0, 1, 0}, {0, 0, 1}, {0.6f, 0.8f, 0.0f}};
     scan.median_range_m = {10.5f, 12.0f, 7.0f, 55.25f};
     scan.mean_range_m = {10.0f, 12.5f, 7.0f, 54.25f};
-    scan.weight.assign(4, 1.0f);
     scan.instance = {0, 1, -1, 0};
     scan.time_offset_s = {-0.05f, 0.05f, 0.0f, 0.025f};
     scan.ring = {1, 0, 1, 0};
     scan.second_returns = {{{0.0f, 14.0f, 0.0f, 0.0f}, {0.0f, 0.2f, 0.0f, 0.0f}}};
     scan.time_s = 3.0;
-    return scan;
+    return test::complete(std::move(scan));
 }
 
 TEST_F(ExrScans, AreReadAsScans) {

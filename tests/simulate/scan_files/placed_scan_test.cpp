@@ -15,6 +15,7 @@
 #include <relidar/simulate/scan_files.hpp>
 
 #include "../../base/codecs/temporary_folder.hpp"
+#include "../plates.hpp"
 
 namespace relidar {
 namespace {
@@ -26,8 +27,7 @@ const std::vector<glm::dvec3>& places() {
     return points;
 }
 
-/// Returns a scan of a sensor that moves at 16 m/s and turns by 40 degrees per second.
-/// The pose changes by 0.8 m and 2 degrees before and after the time of the scan.
+/// Moves at 16 m/s and turns by 40 degrees per second: 0.8 m and 2 degrees.
 RenderedScan make_lane_change() {
     RenderedScan scan;
     for (int i = 0; i <= 4; ++i) {
@@ -47,23 +47,14 @@ RenderedScan make_lane_change() {
         scan.image.direction.emplace_back(glm::normalize(ray_vector_m));
         scan.image.range_m.push_back(float(glm::length(ray_vector_m)));
     }
-    scan.image.rows = 1;
-    scan.image.columns = int(places().size());
-    scan.image.intensity.assign(places().size(), 0.5f);
-    scan.image.drop_prob.assign(places().size(), 0.0f);
-    scan.median_range_m = scan.mean_range_m = scan.image.range_m;
-    scan.weight.assign(places().size(), 1.0f);
-    scan.instance.assign(places().size(), 0);
-    scan.ring.assign(places().size(), 0);
-    return scan;
+    return test::complete(std::move(scan));
 }
 
 glm::dvec3 point(const std::vector<float>& numbers, std::size_t index) {
     return {numbers[index], numbers[index + 1], numbers[index + 2]};
 }
 
-/// Returns the points that follow the header of a file. The header ends with a text, and
-/// each record starts with x y z.
+/// Each record starts with x y z.
 std::vector<glm::dvec3> read_points_behind(const std::filesystem::path& path,
                                            const std::string& end_of_header) {
     const std::string bytes = read_contents(path);
@@ -78,7 +69,6 @@ std::vector<glm::dvec3> read_points_behind(const std::filesystem::path& path,
     return points;
 }
 
-/// Returns the numbers that follow a text in the header of a file.
 std::vector<double> read_numbers_behind(const std::string& text, const std::string& name) {
     std::istringstream line(text.substr(text.find(name) + name.size()));
     std::vector<double> numbers;
@@ -86,7 +76,6 @@ std::vector<double> read_numbers_behind(const std::string& text, const std::stri
     return numbers;
 }
 
-/// Returns the pose for a matrix in row-major order.
 Pose make_pose(const std::vector<double>& m) {
     const glm::dmat3 columns(m[0], m[4], m[8], m[1], m[5], m[9], m[2], m[6], m[10]);
     return {glm::quat_cast(columns), {m[3], m[7], m[11]}};
@@ -113,9 +102,7 @@ protected:
             EXPECT_LT(glm::distance(world_from_points * points[i], places()[i]), kTolerance_m)
                 << description << ", point " << i;
     }
-    /// Checks the points in all files.
-    /// @param world_from_points function that returns the transform of a file's points,
-    /// computed from the pose in the file
+    /// @param world_from_points transform of a file's points, from the pose in the file
     void expect_all(const std::function<Pose(const Pose&)>& world_from_points) const {
         const auto arrays = read_npz(file("npz"));
         const Pose of_npz = make_pose(find_array(arrays, "pose")->convert_to_doubles());
@@ -155,8 +142,6 @@ TEST_F(PlacedScans, PointsOfTheWorldAreThere) {
     expect_all([](const Pose&) { return Pose{}; });
 }
 
-/// If a channel has values for second returns, npz and exr must store them in a separate
-/// array. PLY must store them with the second points.
 TEST_F(PlacedScans, SecondReturnsHaveTheirOwnValues) {
     RenderedScan scan = make_lane_change();
     scan.second_returns = {{{40.0f, 0.0f, 0.0f, 41.0f}, {0.1f, 0.0f, 0.0f, 0.1f}}};
@@ -186,8 +171,8 @@ TEST_F(PlacedScans, SecondReturnsHaveTheirOwnValues) {
     EXPECT_THROW(scans.write_scan(1, scan), DataError) << "of another type";
 }
 
-// A clockwise head starts behind the sensor. It hits the left part of a box behind the
-// sensor at the start of the sweep and the right part at the end, 0.8 m later.
+// A clockwise head hits the left part behind the sensor at the start of the sweep, and
+// the right part at the end, 0.8 m later.
 TEST(ActorBoxes, ABoxBehindTheSensorHasTheTimeOfItsLargerPart) {
     constexpr double kSpeed_mps = 8.0;
     const auto get_front_m = [](double t_s) { return -10.0 + kSpeed_mps * t_s; };

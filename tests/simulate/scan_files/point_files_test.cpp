@@ -26,8 +26,6 @@ LidarPoints make_some_cloud() {
     return cloud;
 }
 
-/// Header lines of a point file, including the last header line, and the bytes that
-/// follow.
 struct Parsed {
     std::vector<std::string> header;
     std::string body;

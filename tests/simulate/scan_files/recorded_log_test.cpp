@@ -12,6 +12,7 @@
 #include <relidar/simulate/scan_files.hpp>
 
 #include "../../base/codecs/temporary_folder.hpp"
+#include "../plates.hpp"
 
 namespace relidar {
 namespace {
@@ -32,8 +33,7 @@ PoseTrack make_track() {
     return track;
 }
 
-/// Returns a scan of an uneven surface around the sensor. Every twelfth ray is dropped,
-/// and every fifth ray has a second return.
+/// Every twelfth ray is dropped, and every fifth ray has a second return.
 RenderedScan room(double time_s) {
     RenderedScan scan;
     scan.image.rows = kRows;
@@ -49,12 +49,8 @@ RenderedScan room(double time_s) {
             scan.image.drop_prob.push_back(i % 12 == 0 ? 1.0f : 0.0f);
             scan.time_offset_s.push_back(float(kPeriod_s * ((c + 0.5) / kColumns - 0.5)));
             scan.ring.push_back(std::uint16_t(r));
-            scan.instance.push_back(0);
-            scan.weight.push_back(1.0f);
         }
     const std::size_t n = scan.image.range_m.size();
-    scan.image.origin.assign(n, glm::vec3(0.0f));
-    scan.median_range_m = scan.mean_range_m = scan.image.range_m;
     scan.second_returns.assign(1, {std::vector<float>(n, 0.0f), std::vector<float>(n, 0.0f)});
     for (std::size_t i = 0; i < n; i += 5)
         if (i % 12 != 0) {
@@ -65,7 +61,7 @@ RenderedScan room(double time_s) {
     scan.track = make_track();
     for (Pose& pose : scan.track.pose) pose = pose * kMounting;
     scan.world_from_sensor = scan.track.interpolate_pose(time_s);
-    return scan;
+    return test::complete(std::move(scan));
 }
 
 struct SeenPoint {
@@ -98,7 +94,6 @@ std::vector<SeenPoint> compute_truth() {
     return points;
 }
 
-/// Returns the points of a log that was read from a recording.
 /// @param zero_s time in the recording at which the time of the log is zero
 std::vector<SeenPoint> read_again(const LidarSequence& log, double zero_s) {
     std::vector<SeenPoint> points;
@@ -122,8 +117,7 @@ std::vector<SeenPoint> read_again(const LidarSequence& log, double zero_s) {
     return points;
 }
 
-/// Returns two actors: a car that drives a curve and exists from the second scan on, and
-/// a static object.
+/// A car that drives a curve and exists from the second scan on, and a static object.
 std::vector<BoxTrack> actors() {
     BoxTrack car{"car 7", "Car", {4.2, 1.8, 1.5}, {}}, bin{"bin", "Bin", {0.7, 0.6, 1.1}, {}};
     for (int i = 0; i <= 40; ++i) {
@@ -137,8 +131,7 @@ std::vector<BoxTrack> actors() {
     return {car, bin};
 }
 
-/// Returns the time at which the head of a sweep faces a box. Once per period, the head
-/// turns from behind over the left to the right. It faces ahead at time_s.
+/// Once per period, the head turns from behind over the left to the right.
 double faced_at(const BoxTrack& box, double time_s) {
     double faced_s = time_s;
     for (int round = 0; round < 20; ++round) {
@@ -149,7 +142,6 @@ double faced_at(const BoxTrack& box, double time_s) {
     return faced_s;
 }
 
-/// Compares the boxes of the log with the boxes that were written.
 /// @param moved_m offset of the read positions from the written positions
 void expect_actors(const LidarSequence& log, const glm::dvec3& moved_m) {
     SCOPED_TRACE(testing::PrintToString(log.notes));
@@ -195,10 +187,9 @@ void expect_same(const LidarSequence& log, bool has_second) {
         ASSERT_EQ(loaded_points[i].second, expected_points[i].second) << i;
         ASSERT_NEAR(loaded_points[i].time_s, expected_points[i].time_s, 2e-6) << i;
         ASSERT_NEAR(loaded_points[i].intensity, expected_points[i].intensity, 1e-6) << i;
-        // Poses of frames would be too coarse. At 10 m/s in a curve of 0.5 rad/s, a chord
-        // of 0.1 s deviates from the curve by 6 mm. Extrapolation after the last frame
-        // deviates by 5 cm. The recording has a pose every 10 ms, whose chords deviate by
-        // only 0.1 mm.
+        // Poses of frames would be too coarse: at 10 m/s and 0.5 rad/s, a chord of 0.1 s
+        // deviates by 6 mm and extrapolation by 5 cm. A pose every 10 ms deviates by 0.1
+        // mm.
         ASSERT_LT(glm::distance(loaded_points[i].world_m, expected_points[i].world_m), 3e-4) << i;
     }
 }
@@ -219,8 +210,7 @@ TEST_F(RecordedLog, OfEitherKindIsTheSameLog) {
     }
 }
 
-/// Returns a car that drives at 5 m/s to the right of and behind a static sensor, where a
-/// sweep of the head ends.
+/// Drives at 5 m/s to the right of and behind a static sensor, where a sweep ends.
 BoxTrack make_car_behind() {
     BoxTrack car{"car", "Car", {4.2, 1.8, 1.5}, {}};
     for (int i = 0; i <= 10; ++i) {
@@ -230,8 +220,7 @@ BoxTrack make_car_behind() {
     return car;
 }
 
-/// Returns the distance from the ray's origin to the point where the ray enters a box
-/// around the origin of the frame. Returns 0 if the ray misses the box.
+/// 0 if the ray misses the box.
 double compute_entry_m(const glm::dvec3& origin_m, const glm::dvec3& direction, const glm::dvec3& size_m) {
     double enters_m = 0.0, leaves_m = 1e9;
     for (int axis = 0; axis < 3; ++axis) {
@@ -243,8 +232,7 @@ double compute_entry_m(const glm::dvec3& origin_m, const glm::dvec3& direction, 
     return enters_m < leaves_m ? enters_m : 0.0;
 }
 
-/// Returns a scan that contains only the car. Each ray hits the position of the car at
-/// the firing time of the ray.
+/// Each ray hits the car at its firing time.
 RenderedScan make_scan_of_car(double time_s) {
     RenderedScan scan = room(time_s);
     scan.second_returns.clear();
@@ -264,8 +252,6 @@ RenderedScan make_scan_of_car(double time_s) {
     return scan;
 }
 
-/// Points of a moving car must lie in its box. The box at the time of each point must
-/// contain the point exactly.
 TEST_F(RecordedLog, BoxesHoldThePointsOfMovingActors) {
     ScanOutputOptions format;
     format.formats = {"mcap", "rosbag"};

@@ -13,12 +13,7 @@
 namespace relidar {
 namespace {
 
-using test::make_air_with, test::make_ray_to;
-
-WeatherSensorProperties make_sensor_to_80_m() { return {.max_range_m = 80.0, .darkest = 0.005}; }
-LidarEcho make_ground_at(double range_m, double reflectivity) {
-    return {range_m, reflectivity, ReturnCause::surface};
-}
+using test::echoes, test::echoes_of, test::make_air_with, test::make_sensor_to, test::surface_at;
 
 /// Returns the integral of 2 c function(c) over the cosine c, which is the mean over a
 /// diffuse surface.
@@ -69,24 +64,22 @@ TEST(WetGround, IsDarkerByTheSumOfItsBounces) {
 
 /// The sensor detects a reflectivity of at least 0.005 at 80 m.
 TEST(WetGround, WhatIsTooDarkLeavesToWhatItMirrors) {
-    const LidarEcho ground = make_ground_at(40.0, 0.1), mirrored{60.0, 0.5, ReturnCause::mirror};
+    const LidarEcho ground = surface_at(40.0, 0.1), mirrored{60.0, 0.5, ReturnCause::mirror};
     // the power is 0.001 at 40 m, which is less than the weakest detectable power 0.00125
-    const EchoPair echoes = make_air_with(make_sensor_to_80_m(), mirrored, 0.5, 0.01)
-                                .compute_echoes_in_weather(make_ray_to(ground, 40.0), 1);
+    const EchoPair echoes = echoes_of(make_air_with(make_sensor_to(80.0), mirrored, 0.5, 0.01), ground, 1);
     EXPECT_EQ(echoes.strongest.source, ReturnCause::mirror);
     EXPECT_EQ(echoes.strongest.range_m, 60.0);
     EXPECT_EQ(echoes.strongest.reflectivity, 0.25);
     EXPECT_EQ(echoes.second.source, ReturnCause::nothing);
-    const EchoPair both = make_air_with(make_sensor_to_80_m(), mirrored, 0.5, 0.9)
-                              .compute_echoes_in_weather(make_ray_to(ground, 40.0), 1);
+    const EchoPair both = echoes_of(make_air_with(make_sensor_to(80.0), mirrored, 0.5, 0.9), ground, 1);
     EXPECT_EQ(both.strongest.source, ReturnCause::mirror) << "0.25 / 60^2 is more than 0.09 / 40^2";
     EXPECT_EQ(both.second.source, ReturnCause::surface);
     EXPECT_EQ(both.second.reflectivity, 0.1 * 0.9);
 }
 
 TEST(WetGround, MirrorsNothingBeyondTheSensorsRange) {
-    const WeatherRaySimulator air = make_air_with(make_sensor_to_80_m(), {84.5, 0.5, ReturnCause::mirror});
-    const EchoPair echoes = air.compute_echoes_in_weather(make_ray_to(make_ground_at(40.0, 0.1), 40.0), 1);
+    const WeatherRaySimulator air = make_air_with(make_sensor_to(80.0), {84.5, 0.5, ReturnCause::mirror});
+    const EchoPair echoes = echoes_of(air, surface_at(40.0, 0.1), 1);
     EXPECT_EQ(echoes.strongest.source, ReturnCause::surface);
     EXPECT_EQ(echoes.second.source, ReturnCause::nothing);
 }

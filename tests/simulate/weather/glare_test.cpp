@@ -18,26 +18,21 @@ namespace {
 constexpr int kPulses = 100'000;
 constexpr double kDegree = kPi / 180.0, kLight_m_s = 299792458.0;
 
+using test::echoes, test::echoes_of, test::make_air_with, test::make_sensor_to, test::surface_at;
+
 /// Returns a sensor with pulses of 6 m length that detects a reflectivity of at least
 /// 0.005 at 60 m.
 WeatherSensorProperties make_sensor_to_60_m() {
-    WeatherSensorProperties sensor;
-    sensor.max_range_m = 60.0;
-    sensor.darkest = 0.005;
+    WeatherSensorProperties sensor = make_sensor_to(60.0);
     sensor.pulse_s = 6.0 / kLight_m_s;
     return sensor;
 }
-
-using test::make_air_with, test::make_ray_to;
 
 /// Returns the air for a ray whose direction differs from the direction of the sun by an
 /// angle.
 WeatherRaySimulator make_air_beside_sun(double off_deg, double klux, const WeatherSensorProperties& sensor,
                                         float hides_sun = 0.0f) {
     return test::make_air_of({.sun = {off_deg, 0.0, klux}}, sensor, hides_sun);
-}
-LidarEcho make_surface_at(double range_m, double reflectivity) {
-    return {range_m, reflectivity, ReturnCause::surface};
 }
 
 /// Returns chi^2 of counts against expected counts, as a standard normal deviate (Wilson
@@ -64,26 +59,16 @@ TEST(Sunlight, IsShotNoiseOfItsPhotons) {
         return std::sqrt(3.0 * electrons) / of_signal;
     };
     const Sun sun{0.0, 0.0, 100.0}, half{0.0, 0.0, 50.0};
-    EXPECT_NEAR(
-        compute_sunlight_noise_power(sun, sensor, 2.0 * kDegree, 0.0, true) / expected(0.65 * 5.0 / 4.0), 1.0,
-        1e-3);
-    EXPECT_NEAR(
-        compute_sunlight_noise_power(half, sensor, 2.0 * kDegree, 0.0, true) / expected(0.325 * 5.0 / 4.0),
-        1.0, 1e-3);
-    EXPECT_NEAR(compute_sunlight_noise_power(sun, sensor, 2.0 * kDegree, 0.4, false) /
-                    expected(0.65 * (1.25 + 0.4 / kPi)),
-                1.0, 1e-3);
     const double disc_sr = kPi * 4.65e-3 * 4.65e-3, glare = 5.0 * std::pow(kDegree / 4.65e-3, 2);
-    EXPECT_NEAR(
-        compute_sunlight_noise_power(sun, sensor, 0.0, 0.0, true) / expected(0.65 * (glare + 1.0 / disc_sr)),
-        1.0, 1e-3);
-    EXPECT_NEAR(compute_sunlight_noise_power(sun, sensor, 4.65e-3, 0.0, true) /
-                    expected(0.65 * (glare + 0.5 / disc_sr)),
-                1.0, 1e-3)
-        << "half of it";
-    EXPECT_NEAR(compute_sunlight_noise_power(sun, sensor, 0.0, 0.0, false) / expected(0.65 * glare), 1.0,
-                1e-3)
-        << "something is before it";
+    const auto relative = [&](const Sun& from, double off_rad, double albedo, bool sees_sky, double light) {
+        return compute_sunlight_noise_power(from, sensor, off_rad, albedo, sees_sky) / expected(light);
+    };
+    EXPECT_NEAR(relative(sun, 2.0 * kDegree, 0.0, true, 0.65 * 1.25), 1.0, 1e-3);
+    EXPECT_NEAR(relative(half, 2.0 * kDegree, 0.0, true, 0.325 * 1.25), 1.0, 1e-3);
+    EXPECT_NEAR(relative(sun, 2.0 * kDegree, 0.4, false, 0.65 * (1.25 + 0.4 / kPi)), 1.0, 1e-3);
+    EXPECT_NEAR(relative(sun, 0.0, 0.0, true, 0.65 * (glare + 1.0 / disc_sr)), 1.0, 1e-3);
+    EXPECT_NEAR(relative(sun, 4.65e-3, 0.0, true, 0.65 * (glare + 0.5 / disc_sr)), 1.0, 1e-3) << "half of it";
+    EXPECT_NEAR(relative(sun, 0.0, 0.0, false, 0.65 * glare), 1.0, 1e-3) << "something is before it";
 }
 
 /// Compares the rate of false returns with Rice's rate of level crossings, integrated
@@ -100,7 +85,7 @@ TEST(Sunlight, IsFalseReturnsAsOftenAsRiceSays) {
         std::vector<double> counts(21), expected(21, kPulses * (1.0 - std::exp(-n)) / 20.0);
         expected.back() = kPulses * std::exp(-n);
         for (std::uint64_t seed = 0; seed < kPulses; ++seed) {
-            const LidarEcho echo = air.compute_echoes_in_weather(make_ray_to({}, 60.0), seed).strongest;
+            const LidarEcho echo = echoes(air, 60.0, seed).strongest;
             if (echo.source == ReturnCause::nothing) ++counts.back();
             else {
                 ASSERT_EQ(echo.source, ReturnCause::noise);
@@ -133,9 +118,8 @@ TEST(Sunlight, HidesWeakTargets) {
             const double lost = 1.0 - std::exp(-crests * std::exp(-0.5 * power * power / (sigma * sigma)));
             double n = 0.0;
             for (std::uint64_t seed = 0; seed < kPulses; ++seed)
-                n += air.compute_echoes_in_weather(
-                            make_ray_to(make_surface_at(range_m, reflectivity), range_m), seed)
-                         .strongest.source == ReturnCause::noise;
+                n += echoes_of(air, surface_at(range_m, reflectivity), seed).strongest.source ==
+                     ReturnCause::noise;
             EXPECT_NEAR(n / kPulses, lost, 4.0 * std::sqrt(lost * (1.0 - lost) / kPulses)) << range_m;
             EXPECT_TRUE(range_m != half_m || std::abs(lost - 0.5) < 1e-9);
         }
@@ -146,18 +130,16 @@ TEST(Sunlight, ElsewhereChangesNothing) {
     const WeatherSensorProperties sensor = make_sensor_to_60_m();
     const WeatherRaySimulator blind = make_air_beside_sun(0.0, 150.0, sensor);
     for (std::uint64_t seed = 0; seed < 1000; ++seed)
-        ASSERT_EQ(blind.compute_echoes_in_weather(make_ray_to({}, 0.0), seed).strongest.source,
-                  ReturnCause::nothing)
+        ASSERT_EQ(echoes(blind, 0.0, seed).strongest.source, ReturnCause::nothing)
             << "what is at the sensor hides it";
-    const LidarEcho before = make_surface_at(20.0, 0.3);
+    const LidarEcho before = surface_at(20.0, 0.3);
     for (const auto& [off_deg, hides_sun] : {std::pair(8.0, 0.0f), {90.0, 0.0f}, {0.0, 1.0f}}) {
         const WeatherRaySimulator air = make_air_beside_sun(off_deg, 150.0, sensor, hides_sun);
         for (std::uint64_t seed = 0; seed < 1000; ++seed) {
-            const EchoPair echoes = air.compute_echoes_in_weather(make_ray_to(before, 20.0), seed);
-            ASSERT_EQ(echoes.strongest.source, ReturnCause::surface);
-            ASSERT_EQ(echoes.strongest.reflectivity, before.reflectivity);
-            ASSERT_EQ(air.compute_echoes_in_weather(make_ray_to({}, 60.0), seed).strongest.source,
-                      ReturnCause::nothing);
+            const EchoPair pair = echoes_of(air, before, seed);
+            ASSERT_EQ(pair.strongest.source, ReturnCause::surface);
+            ASSERT_EQ(pair.strongest.reflectivity, before.reflectivity);
+            ASSERT_EQ(echoes(air, 60.0, seed).strongest.source, ReturnCause::nothing);
         }
     }
 }
@@ -168,20 +150,15 @@ TEST(StrayLight, WinsOverWhatIsWeaker) {
     const WeatherSensorProperties sensor = make_sensor_to_60_m();
     LidarEcho stray{4.0, 0.002, ReturnCause::blooming};
     const WeatherRaySimulator air = make_air_with(sensor, stray);
-    const EchoPair lost = air.compute_echoes_in_weather(make_ray_to(make_surface_at(20.0, 0.049), 20.0), 1);
+    const EchoPair lost = echoes_of(air, surface_at(20.0, 0.049), 1);
     EXPECT_EQ(lost.strongest.source, ReturnCause::blooming);
     EXPECT_EQ(lost.strongest.range_m, 4.0);
     EXPECT_EQ(lost.strongest.reflectivity, 0.002);
     EXPECT_EQ(lost.second.source, ReturnCause::surface);
-    EXPECT_EQ(
-        air.compute_echoes_in_weather(make_ray_to(make_surface_at(20.0, 0.051), 20.0), 1).strongest.source,
-        ReturnCause::surface);
-    EXPECT_EQ(air.compute_echoes_in_weather(make_ray_to({}, 60.0), 1).strongest.source,
-              ReturnCause::blooming);
+    EXPECT_EQ(echoes_of(air, surface_at(20.0, 0.051), 1).strongest.source, ReturnCause::surface);
+    EXPECT_EQ(echoes(air, 60.0, 1).strongest.source, ReturnCause::blooming);
     stray.reflectivity = 0.9 * 0.005 * 16.0 / 3600.0;
-    EXPECT_EQ(
-        make_air_with(sensor, stray).compute_echoes_in_weather(make_ray_to({}, 60.0), 1).strongest.source,
-        ReturnCause::nothing)
+    EXPECT_EQ(echoes(make_air_with(sensor, stray), 60.0, 1).strongest.source, ReturnCause::nothing)
         << "too weak to be a return; a dark surface counts as darkest";
 }
 

@@ -60,9 +60,20 @@ inline WeatherRaySimulator make_air_of(const Weather& weather, const WeatherSens
                                             }});
 }
 
-/// Returns a ray with the returns of surfaces.
-inline RayWeatherState make_ray_to(const LidarEcho& strongest, double free_m, const LidarEcho& second = {}) {
-    return {.strongest = strongest, .second = second, .free_m = free_m};
+inline WeatherSensorProperties make_sensor_to(double max_range_m) {
+    return {.max_range_m = max_range_m, .darkest = 0.005};
+}
+inline LidarEcho surface_at(double range_m, double reflectivity) {
+    return {range_m, reflectivity, ReturnCause::surface};
+}
+/// Echoes of a ray that ends after `free_m` in air.
+inline EchoPair echoes(const WeatherRaySimulator& air, double free_m, std::uint64_t seed,
+                       const LidarEcho& strongest = {}, const LidarEcho& second = {}) {
+    return air.compute_echoes_in_weather({.strongest = strongest, .second = second, .free_m = free_m}, seed);
+}
+/// Echoes of a ray that hits a surface.
+inline EchoPair echoes_of(const WeatherRaySimulator& air, const LidarEcho& surface, std::uint64_t seed) {
+    return echoes(air, surface.range_m, seed, surface);
 }
 
 }  // namespace relidar::test

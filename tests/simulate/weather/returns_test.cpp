@@ -13,25 +13,19 @@
 namespace relidar {
 namespace {
 
-using test::make_air_of, test::make_ray_to;
+using test::echoes, test::echoes_of, test::make_air_of, test::make_sensor_to, test::surface_at;
 
-WeatherSensorProperties make_80_m_sensor() { return {.max_range_m = 80.0, .darkest = 0.005}; }
-LidarEcho make_dull_wall(double range_m, double reflectivity) {
-    return {range_m, reflectivity, ReturnCause::surface};
-}
 double power_of(const LidarEcho& echo) { return echo.reflectivity / (echo.range_m * echo.range_m); }
 
 /// The last return is the second return if it has a tenth of the power of the strongest.
 TEST(Weather, TwoReturnsAreThePeakAndTheLast) {
-    const WeatherSensorProperties sensor = make_80_m_sensor();
+    const WeatherSensorProperties sensor = make_sensor_to(80.0);
     const WeatherRaySimulator air = make_air_of({.fog_visibility_m = 60.0}, sensor);
     const double of_wall = 0.3 * std::exp(-2.0 * std::log(20.0) / 60.0 * 20.0) / 400.0;
     int behind = 0, hidden = 0, before = 0, alone = 0;
     for (std::uint64_t seed = 0; seed < 500; ++seed) {
-        const EchoPair far_echoes =
-                           air.compute_echoes_in_weather(make_ray_to(make_dull_wall(20.0, 0.3), 20.0), seed),
-                       near_echoes = air.compute_echoes_in_weather(
-                           make_ray_to(make_dull_wall(1.2, 0.9), 1.6, make_dull_wall(1.6, 0.9)), seed);
+        const EchoPair far_echoes = echoes_of(air, surface_at(20.0, 0.3), seed),
+                       near_echoes = echoes(air, 1.6, seed, surface_at(1.2, 0.9), surface_at(1.6, 0.9));
         if (far_echoes.strongest.source == ReturnCause::fog) {
             const bool is_seen = of_wall >= 0.1 * power_of(far_echoes.strongest);
             EXPECT_EQ(far_echoes.second.source == ReturnCause::surface, is_seen);
@@ -66,7 +60,7 @@ TEST(ThinWeather, FogReturnsFromNearbyOnly) {
             const WeatherRaySimulator air = make_air_of({.fog_visibility_m = visibility_m}, sensor);
             int n = 0;
             for (std::uint64_t seed = 0; seed < 20'000; ++seed)
-                n += air.compute_echoes_in_weather(make_ray_to({}, 80.0), seed).strongest.range_m > beyond_m;
+                n += echoes(air, 80.0, seed).strongest.range_m > beyond_m;
             return n;
         };
         EXPECT_GT(count(200.0, 0.0), 400) << max_range_m;

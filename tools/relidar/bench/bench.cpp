@@ -27,26 +27,18 @@ namespace {
 
 using Clock = std::chrono::steady_clock;
 
-// Minimum and maximum number of repetitions of each measurement, and number of scans to
-// render.
 constexpr int kLeast = 3, kMost = 10, kScans = 30;
 constexpr double kEnough_ms = 5000.0;
 
-/// Median wall times in milliseconds. Each time includes waiting until the device has
-/// finished.
+/// Median wall times. Each includes waiting until the device has finished.
 struct BenchTimes {
-    /// Time to build the bounding volume hierarchy, and time to refit it.
     double build_ms = 0.0, refit_ms = 0.0;
     double forward_ms = 0.0, backward_ms = 0.0;
-    /// Time of one training iteration: refit, forward pass, losses, backward pass and
-    /// optimizer (Adam), in one submission.
+    /// refit, forward pass, losses, backward pass and Adam in one submission
     double iteration_ms = 0.0;
     std::size_t repetitions = 0;
-    /// Number of rendered scans per second. Measured only if the benchmark uses a trained
-    /// run.
+    /// Only for a trained run.
     std::optional<double> scans_per_s;
-    /// Number of rendered scans per second if the sensors of a rig are rendered one after
-    /// the other.
     std::optional<double> separate_scans_per_s = {};
 };
 
@@ -99,8 +91,8 @@ BenchTimes measure_benchmark_times(Device& device, const BenchCase& bench_case) 
         stream.submit_and_wait();
         time(backward, [&] { step.differentiable.record_backward_pass(); });
     };
-    // Warm-up time before the measurement, because the first launches compile kernels,
-    // and because a GPU raises its clock rate only under load.
+    // The first launches compile kernels, and a GPU raises its clock rate only under
+    // load.
     const double warm_up_ms = device.info().type == "CPU" ? 200.0 : 2000.0;
     Clock::time_point start = Clock::now();
     do repeat();
@@ -112,10 +104,8 @@ BenchTimes measure_benchmark_times(Device& device, const BenchCase& bench_case) 
         median(build), median(refit), median(forward), median(backward), median(iteration), build.size(), {}};
 }
 
-/// Returns how many scans are rendered per second. The times of the scans are evenly
-/// spaced along the recorded path of the log's sensor. The scans of all sensors at the
-/// same time are submitted together. While they are read, the device already renders the
-/// next scans.
+/// At evenly spaced times of the recorded path. The scans of all sensors at the same time
+/// are submitted together. While they are read, the device renders the next scans.
 double measure_scans_per_second(ScanRenderer& renderer, const TrainedRun& run,
                                 std::span<const MountedSimulatedSensor> sensors) {
     const PoseTrack path =
@@ -133,7 +123,7 @@ double measure_scans_per_second(ScanRenderer& renderer, const TrainedRun& run,
         for (std::size_t i = 0; i < sensors.size(); ++i) renderer.wait_for_points();
     };
     submit(0);
-    // The first scans are not measured, because they allocate memory.
+    // They allocate memory.
     collect();
     const Clock::time_point start = Clock::now();
     submit(0);

@@ -15,7 +15,6 @@ struct BenchOptions {
     DeviceCommandOptions device;
 };
 
-/// Measures the speed and prints a report.
 void run_speed_benchmark(const BenchOptions& options);
 
 }  // namespace relidar::cli

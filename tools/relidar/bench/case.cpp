@@ -19,8 +19,7 @@ BenchCase make_synthetic_street_benchmark(std::uint32_t n_surfels, bool smaller_
     bench.rows = rays.rows;
     bench.columns = rays.columns;
     bench.view_origin_m = rays.origin.front();
-    // The rays are in the sensor frame. In this synthetic street, the sensor frame equals
-    // the world frame.
+    // In this street, the sensor frame equals the world frame.
     bench.rays = {to_vector(rays.origin), to_vector(rays.direction)};
     const Surfels surfels =
         make_benchmark_street_surfels(n_surfels, 20261120, smaller_scales_for_more_surfels);

@@ -11,11 +11,7 @@
 
 namespace relidar::cli {
 
-/// Input of a benchmark: a scene, the rays that are cast into it, and the settings of the
-/// GPU kernels.
 struct BenchCase {
-    /// Name in the report: "benchmark street", or the folder of the run and the frame
-    /// number.
     std::string name;
     Scene scene;
     Config config;
@@ -26,15 +22,11 @@ struct BenchCase {
     std::vector<InstancePose> placed;  ///< [instances] pose of each instance.
 };
 
-/// Creates a benchmark with a synthetic street of `n_surfels` surfels and the settings of
-/// the LiDAR-RT paper.
-/// @param smaller_scales_for_more_surfels if true, the surfels become smaller as their
-/// number grows
+/// Settings of the LiDAR-RT paper.
 BenchCase make_synthetic_street_benchmark(std::uint32_t n_surfels, bool smaller_scales_for_more_surfels,
                                           const RayTable& rays);
 
-/// Creates a benchmark from a trained run. Casts the rays of the run's sensor at the
-/// first held-out frame.
+/// Rays of the run's sensor at the first held-out frame.
 /// @throws DataError if the run has no frames or no surfels
 BenchCase make_benchmark_from_run(const TrainedRun& run);
 

@@ -28,8 +28,7 @@ std::vector<DeviceTarget> make_noisy_loss_targets(const RenderedRayValues& rende
 TrainingStep::TrainingStep(Device& device, const BenchCase& bench_case, const RendererOptions& options,
                            const std::vector<DeviceTarget>& target_values)
     : differentiable(device, bench_case.scene, bench_case.config.image, options,
-                     // The gradients of surfels without hits are not set to zero, because
-                     // Adam skips these surfels.
+                     // Adam skips surfels without hits.
                      {.sums = make_backward_options(bench_case.config), .zero_untouched = false}),
       renderer(differentiable.renderer()),
       targets(device, std::span<const DeviceTarget>(target_values), "targets"),

@@ -13,14 +13,12 @@ namespace relidar::cli {
 
 struct BenchCase;
 
-/// Creates target values for the losses: a rendered image plus uniform noise. Without
-/// noise, the gradient of an L1 loss would be zero. Rays with a low sum of blending
-/// weights become rays without a return.
+/// A rendered image plus noise, so that the gradient of an L1 loss is not zero. Rays with
+/// a low sum of blending weights become rays without a return.
 std::vector<DeviceTarget> make_noisy_loss_targets(const RenderedRayValues& rendering,
                                                   bool is_depth_divided_by_weight);
 
-/// Runs one training step for a benchmark. All learning rates are 0, so that the step
-/// does not change the scene.
+/// All learning rates are 0, so that the step does not change the scene.
 class TrainingStep {
 public:
     TrainingStep(Device& device, const BenchCase& bench_case, const RendererOptions& options,
@@ -30,11 +28,9 @@ public:
     Renderer& renderer;  ///< The renderer of `differentiable`.
     Array<DeviceTarget> targets;
 
-    /// Adds the loss kernels to the command buffer. Must be called after
-    /// record_forward_pass().
+    /// Must be called after record_forward_pass().
     void record_loss_kernels(const RayBatch& rays);
-    /// Adds the kernel of the optimizer (Adam) to the command buffer. Must be called
-    /// after record_backward_pass().
+    /// Must be called after record_backward_pass().
     void record_optimizer_kernels();
 
 private:

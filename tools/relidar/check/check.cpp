@@ -36,7 +36,6 @@ struct CheckOptions {
     DeviceCommandOptions device;
 };
 
-/// A check that was run.
 struct NamedCheckResult {
     std::string name;
     CheckResult finding;
@@ -54,9 +53,8 @@ const char* get_check_outcome_name(CheckResult::CheckOutcome outcome_kind) {
     }
 }
 
-/// Runs one check and measures its time. If the driver reports an error, the result of
-/// the check is "wrong".
-/// @param is_device_lost output: set to true if the driver has lost the device
+/// If the driver reports an error, the result is "wrong".
+/// @param is_device_lost output
 NamedCheckResult run_device_check(const DeviceCheck& check, CheckedDevice& tested_device,
                                   bool& is_device_lost) {
     NamedCheckResult row{check.name, {}, 0.0};
@@ -94,7 +92,6 @@ std::string make_check_report_json(const DeviceInfo& device_info,
     return json.dump(1, ' ', false, nlohmann::ordered_json::error_handler_t::replace) + "\n";
 }
 
-/// Returns all checks. If a run is given, also the checks of its scene.
 std::vector<DeviceCheck> list_checks_of_device_and_trained_run(const std::string& run_folder_or_empty) {
     std::vector<DeviceCheck> checks(get_builtin_device_checks().begin(), get_builtin_device_checks().end());
     if (run_folder_or_empty.empty()) return checks;
@@ -110,8 +107,7 @@ std::vector<DeviceCheck> list_checks_of_device_and_trained_run(const std::string
 }
 
 void run_device_checks(const CheckOptions& options) {
-    // Normally, relidar avoids methods that have failed a test on the device. The checks
-    // below must use all methods, so default results (no failures) replace the real ones.
+    // The checks must use all methods, also those that failed a test on the device.
     const ScopedDeviceTestResults trusting(DeviceTestResults{});
     CheckedDevice checked(convert_to_device_options(options.device));
     const DeviceInfo& info = checked.get_default_device().info();

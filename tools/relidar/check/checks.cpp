@@ -32,7 +32,7 @@ std::span<const DeviceCheck> get_builtin_device_checks() {
 }
 
 CheckResult make_check_result_from_error(double error, double tolerance) {
-    // If the error is NaN, this comparison is false, so NaN counts as wrong.
+    // NaN counts as wrong
     const bool is_right = error <= tolerance;
     return {is_right ? CheckResult::CheckOutcome::right : CheckResult::CheckOutcome::wrong,
             is_right && error == 0.0

@@ -17,29 +17,22 @@ namespace relidar::cli {
 
 struct BenchCase;
 
-/// Result of a check.
 struct CheckResult {
     enum class CheckOutcome { right, wrong, unsupported };
     CheckOutcome kind = CheckOutcome::right;
     std::string text;  ///< Size of the error, or the reason why the check is wrong or unsupported.
 };
-/// Returns the result "right" if the error is at most the tolerance, otherwise "wrong".
 CheckResult make_check_result_from_error(double error, double tolerance);
 CheckResult make_failed_check_result(const std::string& reason);
 CheckResult make_unsupported_check_result(const std::string& reason);
-/// Returns the reason why a device cannot use a method to trace rays. The text is empty
-/// if the device can use it.
+/// Empty if the device can use the method.
 std::string explain_unsupported_backend(const DeviceInfo& device_info, RayTracingBackend backend);
 
-/// A device under test. It is opened separately for each ray tracing method (software or
-/// ray query) that the checks need.
+/// Opened separately for each ray tracing method that the checks need.
 class CheckedDevice {
 public:
-    /// Opens the device with its default traversal.
     explicit CheckedDevice(const DeviceOptions& options);
     Device& get_default_device() { return *default_; }
-    /// Returns the device with the given method to trace rays. Opens the device at the
-    /// first call.
     Device& get_or_open_device_with_backend(RayTracingBackend backend);
     const DeviceOptions& get_device_options() const { return options_; }
 
@@ -68,7 +61,7 @@ CheckResult check_points_computed_on_device(CheckedDevice& tested_device);
 CheckResult check_largest_buffer(CheckedDevice& tested_device);
 CheckResult check_device_memory(CheckedDevice& tested_device);
 CheckResult check_long_kernel_dispatch(CheckedDevice& tested_device);
-/// Compares rendered rays of a run with a reference renderer in double precision.
+/// The reference renderer uses double precision.
 CheckResult check_rendering_of_trained_run(CheckedDevice& tested_device, RayTracingBackend backend,
                                            const BenchCase& bench_case);
 

@@ -10,11 +10,9 @@ namespace relidar::cli {
 
 CheckResult check_long_kernel_dispatch(CheckedDevice& tested_device) {
     constexpr double kLong_s = 0.25;
-    // Runs the kernel once, so that its compile time is not measured.
+    // Compiles the kernel.
     test_atomic_adds_and_get_max_error(tested_device.get_default_device(), true);
-    // Each iteration starts four times as many threads as the previous iteration. The
-    // loop stops when a dispatch takes 0.25 s, so the last dispatch takes about one
-    // second at most.
+    // Ends at a dispatch of 0.25 s, so the last one takes about one second at most.
     for (std::uint32_t n_threads = 1u << 18; n_threads <= 1u << 28; n_threads *= 4) {
         double seconds = 0.0;
         const double error = test_compare_and_swap_adds_and_get_max_error(tested_device.get_default_device(),

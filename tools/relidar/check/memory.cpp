@@ -19,7 +19,6 @@ namespace {
 
 constexpr std::uint64_t kMiB = std::uint64_t(1) << 20;
 
-/// Returns how many bytes of device memory each memory check in this file may allocate.
 std::uint64_t compute_check_memory_limit_bytes(const Device& device) {
     std::uint64_t n_free = gpu::query_memory_budget(device.impl().physical).get_free_device_memory_bytes();
     if (const std::uint64_t limit = device.impl().memory_limit_bytes; limit > 0)
@@ -27,7 +26,7 @@ std::uint64_t compute_check_memory_limit_bytes(const Device& device) {
     return device.info().type == "CPU" ? std::min(n_free / 8, 2048 * kMiB) : n_free / 10 * 9;
 }
 
-/// Returns true if the first and the last 16 words of a buffer all equal `expected_word`.
+/// Looks only at the first and the last 16 words.
 bool is_buffer_filled_with(const Buffer& buffer, std::uint32_t expected_word) {
     for (const std::size_t offset : {std::size_t(0), buffer.size_bytes() - 64}) {
         std::uint32_t words[16];

@@ -39,7 +39,6 @@ refine::Tensor upload_images_as_tensor(Device& device, const ImageBatch& images)
     return tensor;
 }
 
-/// Returns the largest absolute error, divided by the largest absolute expected value.
 double compute_max_relative_error(const std::vector<float>& actual, const std::vector<double>& expected) {
     double worst = 0.0, largest = 0.0;
     for (std::size_t i = 0; i < expected.size(); ++i) {

@@ -25,9 +25,7 @@ Words sample_random_uint32s(std::size_t n_values) {
     return words;
 }
 
-/// Sorts random keys by their low 24 bits on the device.
-/// @return true if the sorted keys and their order equal the result of a stable sort on
-/// the host
+/// Compares with a stable sort on the host by the low 24 bits.
 bool is_radix_sort_correct(Device& device, std::uint32_t n_keys, std::uint32_t capacity) {
     const Words keys = sample_random_uint32s(capacity);
     const Array<std::uint32_t, shared::SortCount> count(device, Words{n_keys}, "number of keys");

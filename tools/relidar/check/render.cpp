@@ -19,7 +19,6 @@
 namespace relidar::cli {
 namespace {
 
-/// Rendered images and gradients of a random scene.
 struct RenderAndGradients {
     test::RandomScene scene;
     reference::Settings settings;

@@ -18,11 +18,9 @@ namespace relidar::cli {
 namespace {
 
 constexpr std::size_t kRunRays = 512;
-/// Maximum difference between a value of the device and the exact value in double
-/// precision. Divided by the exact value if this value is greater than 1.
+/// Difference to the exact value; relative above 1.
 constexpr double kValueTolerance = 1e-3;
-/// Maximum share of rays that exceed kValueTolerance. At the edge of a surfel, or between
-/// surfels at equal distances, rounding decides which surfels are blended.
+/// Maximum share of other rays: rounding decides at edges and at equal distances.
 constexpr double kEdgeShare = 0.02;
 
 WorldRays select_evenly_spaced_rays(const WorldRays& rays) {
@@ -37,8 +35,7 @@ WorldRays select_evenly_spaced_rays(const WorldRays& rays) {
     return selected;
 }
 
-/// Returns true if a line passes the centre of a surfel within four standard deviations.
-/// Farther away, the opacity of a hit is below the smallest opacity that is blended.
+/// Farther than four standard deviations, a hit is not blended.
 bool is_ray_near_surfel(const reference::LocalRay<double>& ray, const reference::Surfel& surfel) {
     const glm::dvec3 to_mean = surfel.mean - ray.origin;
     const double along = glm::dot(to_mean, ray.direction) / glm::dot(ray.direction, ray.direction);
@@ -47,8 +44,7 @@ bool is_ray_near_surfel(const reference::LocalRay<double>& ray, const reference:
     return glm::length(to_mean - along * ray.direction) <= 4.0 * std::exp(log_scale);
 }
 
-/// Converts the surfels near the rays to double precision. The surfels of each instance
-/// are stored consecutively.
+/// The surfels of each instance are stored consecutively.
 reference::World copy_surfels_near_rays_as_doubles(const BenchCase& bench_case,
                                                    const std::vector<reference::Ray>& rays) {
     reference::World world;
@@ -78,8 +74,7 @@ reference::World copy_surfels_near_rays_as_doubles(const BenchCase& bench_case,
     return world;
 }
 
-/// Returns the largest difference between rendered and expected values of a ray. For
-/// expected values above 1, the difference is relative.
+/// For expected values above 1, the difference is relative.
 double compute_max_ray_value_difference(const RenderedRayValues& rendering, std::size_t ray_index,
                                         const reference::Pixel& expected_values) {
     double worst = 0.0;

@@ -11,8 +11,7 @@
 namespace relidar::cli {
 namespace {
 
-/// Returns the result of a check that adds small integers on the device. Only an error of
-/// exactly 0 is right, because float represents these sums exactly.
+/// Float represents the sums of small integers exactly.
 CheckResult make_result_of_exact_sum_check(double relative_error) {
     if (relative_error == 0.0) return {CheckResult::CheckOutcome::right, "exact"};
     return make_failed_check_result(

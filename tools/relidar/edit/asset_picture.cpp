@@ -88,8 +88,7 @@ void draw_asset_view(Image& canvas, int top_left_row, int top_left_column, const
         for (int c = 0; c < scan.image.columns; ++c) {
             const auto i = std::size_t(r) * std::size_t(scan.image.columns) + std::size_t(c);
             if (pixel_brightness[i] < 0.0f) continue;
-            const glm::vec3 point_m = scan.image.origin[i] + scan.median_range_m[i] * scan.image.direction[i];
-            const bool of_mirror = surface.is_observed_only_in_mirror_image(glm::dvec3(point_m));
+            const bool of_mirror = surface.is_observed_only_in_mirror_image(glm::dvec3(scan.end_of(i)));
             const std::size_t i_canvas = std::size_t(top_left_row + r) * std::size_t(canvas.columns) +
                                          std::size_t(top_left_column + c);
             std::uint8_t* pixel = &canvas.rgb[3 * i_canvas];

@@ -15,8 +15,6 @@
 namespace relidar::cli {
 namespace {
 
-/// Returns the name of the method to trace rays that `--traversal auto` selects on this
-/// device.
 std::string get_name_of_best_backend(const DeviceInfo& device_info) {
     switch (choose_best_ray_tracing_backend(device_info)) {
         case RayTracingBackend::ray_query:

@@ -32,8 +32,7 @@ void print_run_info(const InfoOptions& options) {
     print(options.json ? format_summary_as_json(summary) : format_summary_as_text(summary));
 }
 
-/// Prints how many training iterations are finished, if the run has not saved a scene
-/// yet.
+/// For a run that has not saved a scene yet.
 void print_unfinished_run_info(const std::filesystem::path& folder) {
     const Config config = load_saved_config(folder / "config.toml");
     print(fmt::format("{}: {}, at iteration {} of {}; it has no saved scene yet; its log is {}\n",
@@ -47,8 +46,7 @@ void print_unfinished_run_info(const std::filesystem::path& folder) {
 }
 
 void print_log_info(const InfoOptions& options) {
-    // Maximum number of scans to read per LiDAR, because a bag of one hour has 36,000
-    // scans.
+    // A bag of one hour has 36,000 scans.
     constexpr std::size_t kMostScans = 64;
     Config config = make_config_from_settings(options.settings);
     config.dataset.path = options.path;
@@ -57,8 +55,7 @@ void print_log_info(const InfoOptions& options) {
         summarise(load_dataset(config, false, options.all ? 0 : int(kMostScans)), config.init);
     const bool is_long = std::ranges::any_of(
         summary.lidars, [](const LidarSummary& lidar) { return lidar.n_frames > kMostScans; });
-    // Marks a summary that uses only a part of the scans. Compares `n_scans_read`,
-    // because some log readers read all scans even if fewer are requested.
+    // Some readers read all scans even if fewer are requested.
     summary.is_look = !options.all && is_long && summary.n_scans_read < summary.n_frames;
     print(options.json ? format_summary_as_json(summary) : format_summary_as_text(summary));
 }

@@ -38,8 +38,8 @@ std::string format_name_value_line(const std::string& value_name, const std::str
     return value.empty() ? "" : fmt::format("{:<12}{}\n", value_name, value);
 }
 
-/// Returns up to two lines. One names the boxes with guessed sizes. The other names boxes
-/// that were also found in frames before their first or after their last label.
+/// Names boxes with guessed sizes, and boxes that were also found before or after their
+/// labels.
 std::string format_box_notes(const std::vector<BoxSummary>& boxes) {
     std::vector<std::string> guesses, continued;
     for (const BoxSummary& b : boxes) {
@@ -65,7 +65,6 @@ std::string format_box_table(const std::vector<BoxSummary>& boxes, bool show_ins
                                                 "path length", "mean speed", "start x,y,z,yaw_deg"}};
     if (show_instance_columns) rows[0].insert(rows[0].end(), {"instance", "surfels"});
     for (const BoxSummary& b : boxes) {
-        // If the box has the typical size of a guessed class, also names that class.
         const std::string box_class =
             b.size_guess.empty() ? b.category : fmt::format("{}, {}?", b.category, b.size_guess);
         rows.push_back({b.id, box_class, fmt::format("{:.2f} m", b.size_m.x),
@@ -279,8 +278,7 @@ RunSummary summarise(const TrainedRun& run) {
             "poses: training corrected the poses of the log (train.refine_poses={}), so positions of the "
             "vehicle and of boxes differ from those that `relidar info LOG` prints",
             run.refined_poses));
-    // If the run was edited, leaves the list of ignored boxes empty. The list would
-    // contain actors that were removed by the edits.
+    // Actors that edits removed are not ignored boxes.
     summary.log.masked =
         run.edits.empty()
             ? format_box_list(find_boxes_without_model(run.scene, run.sequence, run.config.init))

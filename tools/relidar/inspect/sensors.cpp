@@ -24,7 +24,6 @@ struct SensorsOptions {
     double time_s = 0.0;
 };
 
-/// Number of rays of a sensor, and the range of angles in degrees that the rays cover.
 struct SensorFieldOfView {
     std::size_t rays = 0;
     double left_deg = 0.0, right_deg = 0.0, top_deg = 0.0, bottom_deg = 0.0;

@@ -10,10 +10,9 @@
 
 namespace relidar::cli {
 
-/// Returns the positions of the selected frames in the list of frames of a run. The
-/// selection is "first:end" (frame numbers of the dataset), "test", "train" or "all".
-/// Without a selection, returns the held-out frames. If the run has no held-out frames,
-/// returns all frames.
+/// "first:end" (frame numbers of the dataset), "test", "train" or "all"; by default the
+/// held-out frames, or all if none is held out.
+/// @return positions in the list of frames
 /// @throws UsageError if no frame is selected
 std::vector<int> select_frame_indices_by_text(const TrainedRun& run,
                                               const std::optional<std::string>& frames_text, bool quiet);

@@ -32,7 +32,6 @@ struct ConvertOptions {
     bool quiet = false;
 };
 
-/// Returns true if a file begins like a network capture (pcap or pcapng).
 bool is_network_capture(const std::filesystem::path& file) {
     std::string first_bytes(4, '\0');
     std::ifstream(file, std::ios::binary).read(first_bytes.data(), 4);
@@ -41,8 +40,7 @@ bool is_network_capture(const std::filesystem::path& file) {
            first_bytes == "\x0a\x0d\x0d\x0a";
 }
 
-/// Checks that the capture and its calibration file (.csv or .json) replace no file that
-/// the user needs.
+/// The calibration file (.csv or .json) must not replace a file either.
 void require_replaceable_capture(const std::filesystem::path& capture, const std::string& log_path,
                                  bool overwrite) {
     namespace fs = std::filesystem;
@@ -57,21 +55,16 @@ void require_replaceable_capture(const std::filesystem::path& capture, const std
             "--out {}: a file with this name exists; expected a new name, or --force to replace the file",
             capture.string());
     if (exists && !is_network_capture(capture))
-        fail<UsageError>(
-            "--out {}: the existing file is not a network capture, so --force does not replace it; expected "
-            "another name",
-            capture.string());
+        fail<UsageError>("--out {}: the existing file is not a network capture; expected another name",
+                         capture.string());
     for (const char* ending : {".csv", ".json"}) {
         const fs::path file = fs::path(capture).replace_extension(ending);
         if (!exists && fs::exists(file, failed))
-            fail<UsageError>(
-                "--out {}: the file {} exists, and relidar may need this name for the calibration of the "
-                "sensor; expected another name",
-                capture.string(), file.string());
+            fail<UsageError>("--out {}: found {}, the name of the calibration; expected another name",
+                             capture.string(), file.string());
     }
 }
 
-/// Writes a log as a capture file with the network packets that the sensor would send.
 void write_log_as_packets(const LidarSequence& sequence, const ConvertOptions& options) {
     const std::filesystem::path out = options.out;
     require_replaceable_capture(out, sequence.source, options.overwrite);

@@ -29,8 +29,7 @@ struct ExportOptions {
     bool quiet = false;
 };
 
-/// Writes the scene of each frame as a PLY file, such as FOLDER/000010.ply. The actors
-/// are at their poses at the time of the frame. Positions are in relidar's world frame.
+/// FOLDER/000010.ply and so on, with the actors at their poses, in relidar's world frame.
 void export_frames_as_ply(const ExportOptions& options) {
     const TrainedRun run = load_run(options.run);
     const std::vector<int> positions = select_frame_indices_by_text(run, options.frames, options.quiet);
@@ -59,10 +58,8 @@ void run_export_command(const ExportOptions& options) {
     const std::filesystem::path out = options.out;
     if (options.frames) {
         if (out.has_extension())
-            fail<UsageError>(
-                "--out {}: the name ends in {}; expected the name of a folder, because --frames writes one "
-                "file per frame",
-                options.out, out.extension().string());
+            fail<UsageError>("--out {}: found the ending {}; expected a folder, because of --frames",
+                             options.out, out.extension().string());
         return export_frames_as_ply(options);
     }
     const std::optional<std::string> format =
@@ -82,7 +79,6 @@ void run_export_command(const ExportOptions& options) {
         written = fmt::format("{} surfels, {} model{}", count_surfels(run.scene), run.scene.models.size(),
                               run.scene.models.size() == 1 ? "" : "s");
     } else {
-        // Path of the log's first LiDAR in the world frame of the dataset.
         write_trajectory_csv(out, add_offset_to_track_positions(run.sequence.get_world_from_sensor(0),
                                                                 run.sequence.world_offset_m));
         written = fmt::format("{} poses", run.sequence.world_from_vehicle.pose.size());

@@ -44,15 +44,10 @@ void require_valid_recording_names(const RecordingNames& name_templates,
     const auto check = [&](const char* option, const std::string& text) {
         if (text.empty()) return;
         if (std::ranges::none_of(output_file_formats, is_recording_format))
-            fail<UsageError>(
-                "{} has no effect on the selected formats; expected mcap or rosbag in --format, because "
-                "other files have no topics and frame ids",
-                option);
+            fail<UsageError>("{} has no effect on these formats; expected --format mcap or rosbag", option);
         if (has_several_sensors && text.find(kName) == std::string::npos)
-            fail<UsageError>(
-                "{}: found \"{}\" for all sensors of a rig; expected a text that contains {}, which is "
-                "replaced by the name of each sensor",
-                option, text, kName);
+            fail<UsageError>("{}: found \"{}\" for all sensors of a rig; expected a text with {}", option,
+                             text, kName);
     };
     check("--topic", name_templates.topic);
     check("--frame-id", name_templates.frame_id);

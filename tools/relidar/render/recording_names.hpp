@@ -16,20 +16,16 @@ struct ScanOutputOptions;
 namespace relidar::cli {
 
 struct RecordingNames {
-    /// ROS topic and frame id in recordings. The text {name} is replaced by the name of
-    /// the sensor. If a value is empty, it is derived from the name of the sensor.
+    /// {name} is replaced by the name of the sensor. Empty: derived from this name.
     std::string topic, frame_id;
 };
 void add_topic_and_frame_id_options(CLI::App& command, RecordingNames& parsed_names);
-/// Checks the options --topic and --frame-id.
-/// @param has_several_sensors true if there are several sensors
 /// @throws UsageError if no recording is written, or if several sensors would get the
 /// same name
 void require_valid_recording_names(const RecordingNames& name_templates,
                                    const std::vector<std::string>& output_file_formats,
                                    bool has_several_sensors);
-/// Sets the topic and the frame id of one sensor in its output format.
-/// @param sensor_name name of the sensor in the rig or in the log; may be empty
+/// @param sensor_name in the rig or in the log; may be empty
 void set_topic_and_frame_id(ScanOutputOptions& output_options, const std::string& sensor_name,
                             const RecordingNames& name_templates);
 

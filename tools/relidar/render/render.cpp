@@ -10,6 +10,7 @@
 #include <fmt/format.h>
 #include <CLI/CLI.hpp>
 
+#include <relidar/log/channels.hpp>
 #include <relidar/log/sensor_files.hpp>
 #include <relidar/run/edit.hpp>
 #include <relidar/run/run.hpp>
@@ -25,7 +26,6 @@
 #include "ranks.hpp"
 #include "render/choose_frames.hpp"
 #include "render/recording_names.hpp"
-#include "render/render_help.hpp"
 #include "render/render_notes.hpp"
 #include "render/target_sensors.hpp"
 #include "render/trajectory.hpp"
@@ -58,12 +58,10 @@ struct RenderOptions {
     bool quiet = false;
 };
 
-// Maximum offset of the sensor. A larger offset is probably a typing error, so it is
-// rejected. Also, float positions at such distances have errors of more than a
-// millimetre.
+// A larger offset is probably a typing error. Floats have errors of a millimetre there.
 constexpr double kFarthestOffset_m = 10'000.0;
 
-/// Parses the text "x,y,z" or "x,y,z,yaw_deg" as a pose in the sensor's frame.
+/// "x,y,z" or "x,y,z,yaw_deg" in the sensor's frame.
 Pose parse_sensor_offset(const std::string& text) {
     if (text.empty()) return {};
     const std::vector<double> v = parse_number_list("--offset", text);
@@ -83,8 +81,7 @@ Pose parse_sensor_offset(const std::string& text) {
     return {glm::angleAxis(yaw_rad, glm::dvec3(0.0, 0.0, 1.0)), {v[0], v[1], v[2]}};
 }
 
-/// Parses a list of file formats such as "npz,ply". Upper and lower case and spaces are
-/// allowed.
+/// Upper and lower case and spaces are allowed.
 std::vector<std::string> parse_file_formats(const std::string& format_list) {
     const std::vector<std::string> known_formats = list_scan_formats();
     std::vector<std::string> formats;
@@ -105,8 +102,6 @@ PointCoordinateFrame parse_point_frame(const std::string& name) {
     fail<UsageError>("--frame: found \"{}\"; expected sensor or world (use --frames to select scans)", name);
 }
 
-/// Removes the boxes of actors that are not rendered, so that they do not appear in
-/// recordings.
 void remove_boxes_of_hidden_scene_parts(ScanOutputOptions& output_options, const TrainedRun& run,
                                         const std::vector<std::string>& visible_scene_parts) {
     if (visible_scene_parts.empty()) return;
@@ -118,8 +113,7 @@ void remove_boxes_of_hidden_scene_parts(ScanOutputOptions& output_options, const
     });
 }
 
-/// Returns the output format of the scans of one sensor.
-/// @param rig_sensor_name name of the sensor in a rig; empty if there is only one sensor
+/// @param rig_sensor_name empty if there is only one sensor
 ScanOutputOptions make_scan_output_format(const RenderOptions& options, const TrainedRun& run,
                                           const SimulatedSensor& sensor, const Pose& sensor_offset,
                                           const std::string& rig_sensor_name) {
@@ -141,19 +135,15 @@ ScanOutputOptions make_scan_output_format(const RenderOptions& options, const Tr
     return format;
 }
 
-/// Returns true if the command writes recordings or packets, whose times are stamps.
 bool has_stamped_outputs(const RenderOptions& options) {
     return std::ranges::any_of(parse_file_formats(options.formats), is_recording_format);
 }
 
-/// Checks all options that do not depend on the run, before the run is loaded.
-/// @throws UsageError if an option is invalid
 void require_valid_render_options(const RenderOptions& options, bool is_rig, const MpiProcessGroup& ranks) {
     for (const std::string& format : parse_file_formats(options.formats))
         if (ranks.size() > 1 && is_recording_format(format))
             fail<UsageError>(
-                "--format {}: found {} MPI processes; expected one, because this format stores all scans in "
-                "one file",
+                "--format {}: found {} MPI processes; expected one, because all scans are in one file",
                 format, ranks.size());
     require_valid_recording_names(options.names, parse_file_formats(options.formats),
                                   is_rig && !options.merge);
@@ -173,8 +163,7 @@ void require_valid_render_options(const RenderOptions& options, bool is_rig, con
     if (t.rate_hz && !t.times.empty()) throw UsageError("--rate and --times cannot be used together");
 }
 
-/// A scan to render. `number` is part of the file name. `time_s` is the reference time of
-/// the sweep.
+/// `number` is part of the file name, `time_s` the reference time of the sweep.
 struct NumberedScanTime {
     int number;
     double time_s;
@@ -205,7 +194,6 @@ std::vector<NumberedScanTime> list_sweeps_on_trajectory(const TrainedRun& run, c
     return sweeps;
 }
 
-/// Returns the output format of each sensor.
 std::vector<ScanOutputOptions> make_output_format_per_sensor(
     const RenderOptions& options, const TrainedRun& run, const std::vector<MountedSimulatedSensor>& targets,
     const Pose& sensor_offset) {
@@ -220,7 +208,6 @@ std::vector<ScanOutputOptions> make_output_format_per_sensor(
     return formats;
 }
 
-/// Returns the output format of scans that merge all sensors of a rig.
 ScanOutputOptions make_merged_rig_output_options(const RenderOptions& options, const TrainedRun& run,
                                                  const std::vector<MountedSimulatedSensor>& rig_sensors,
                                                  const Pose& sensor_offset) {
@@ -233,16 +220,14 @@ ScanOutputOptions make_merged_rig_output_options(const RenderOptions& options, c
     return make_scan_output_format(options, run, rig, sensor_offset, "");
 }
 
-/// Output folders of a rendering: one folder per sensor, or one folder for merged scans.
-/// If there is a folder per sensor, `recordings` writes the scans of all sensors into
-/// common files.
+/// A folder per sensor, or one for merged scans. With a folder per sensor, `recordings`
+/// has the scans of all sensors.
 struct RenderOutputs {
     std::vector<ScanFolderWriter> folders;
     std::optional<ScanRecordingsWriter> recordings;
 };
 
-/// Creates the output folders in the first MPI process. The other processes wait and then
-/// open these folders.
+/// The other MPI processes wait for the first and then open its folders.
 RenderOutputs create_output_folders(const RenderOptions& options, const TrainedRun& run,
                                     const std::vector<MountedSimulatedSensor>& rendered_sensors,
                                     const Pose& sensor_offset, const MpiProcessGroup& ranks) {
@@ -259,7 +244,7 @@ RenderOutputs create_output_folders(const RenderOptions& options, const TrainedR
         sensors = {make_merged_rig_output_options(options, run, rendered_sensors, sensor_offset)};
     else sensors = make_output_format_per_sensor(options, run, rendered_sensors, sensor_offset);
     const bool is_rig = !options.merge && !rendered_sensors.front().folder.empty();
-    // All folders are checked before files of an earlier rendering are removed.
+    // Before files of an earlier rendering are removed.
     for (const MountedSimulatedSensor& sensor : rendered_sensors)
         if (is_rig && ranks.is_first_mpi_process())
             require_folder_for_scans(std::filesystem::path(options.out) / sensor.folder, options.overwrite);
@@ -274,7 +259,6 @@ RenderOutputs create_output_folders(const RenderOptions& options, const TrainedR
     return output;
 }
 
-/// Writes the list of scans of all MPI processes, and completes the recordings.
 void finish_output_files(RenderOutputs& output, const MpiProcessGroup& ranks) {
     if (output.recordings) output.recordings->finish_recording_files();
     for (ScanFolderWriter& folder : output.folders) {
@@ -289,7 +273,6 @@ void finish_output_files(RenderOutputs& output, const MpiProcessGroup& ranks) {
     }
 }
 
-/// Renders one sweep after the other and writes the scans to files.
 class SweepRenderer {
 public:
     SweepRenderer(ScanRenderer& renderer, const TrainedRun& run, const RenderOptions& options,
@@ -329,9 +312,8 @@ public:
         for (std::size_t s = 0; s < scans.size(); ++s) output.folders[s].write_scan(sweep.number, scans[s]);
         if (output.recordings) output.recordings->write_scans(scans);
     }
-    /// Returns a one-line summary for the user.
-    /// @param n_local_sweeps number of sweeps that this process has rendered
-    /// @param n_total_sweeps number of sweeps that all MPI processes have rendered
+    /// @param n_local_sweeps rendered by this process
+    /// @param n_total_sweeps rendered by all MPI processes
     std::string format_render_summary(std::size_t n_local_sweeps, std::size_t n_total_sweeps,
                                       int n_processes) const {
         const double n = double(n_local_sweeps);
@@ -372,7 +354,7 @@ void run_render_command(const RenderOptions& command_options) {
     const PoseTrack track =
         drives ? compute_mounted_track(read_trajectory_csv(options.trajectory.file), offset) : PoseTrack{};
     std::optional<LockedFolder> folder;
-    // Only the first MPI process locks the folder, and removes it if it stays empty.
+    // The lock removes a folder that stays empty.
     if (ranks.is_first_mpi_process()) folder.emplace(options.out);
     require_settings_used_by_command(options.sets, list_rendering_setting_names(), "render");
     TrainedRun run = load_run(options.run);
@@ -436,12 +418,11 @@ void add_trajectory_options(CLI::App& command, TrajectoryOptions& trajectory) {
         ->type_name("FIRST:LAST:STEP");
 }
 
-/// Adds the options that select the file formats, their content, and the coordinate frame
-/// of the points.
 void add_output_file_options(CLI::App& command, RenderOptions& options) {
     command
-        .add_option("--format", options.formats,
-                    "npz, exr, ply, pcd, bin, png, mcap, rosbag, pcap, separated by commas (default: npz)")
+        .add_option(
+            "--format", options.formats,
+            fmt::format("{}, separated by commas (default: npz)", fmt::join(list_scan_formats(), ", ")))
         ->type_name("LIST");
     command
         .add_option("--frame", options.point_frame,
@@ -460,6 +441,33 @@ void add_output_file_options(CLI::App& command, RenderOptions& options) {
                      "merge the scans of a rig's sensors into one scan in the frame of the rig (default: a "
                      "folder for each sensor)");
     command.add_flag("--force", options.overwrite, "replace the rendered scans in DIR");
+}
+
+std::string make_output_files_help_text() {
+    return std::string(
+               R"(Files are named DIR/frame_000123.npz and so on, by the dataset's frame number; with --trajectory
+they are counted from 0. DIR/scans.json holds run, sensor, offset, poses, times and settings, and
+`unseen`: the share of rays that mainly cross space that the log did not observe.
+`unseen_sides`: sides of actors that the log did not observe, so that rays pass through them.
+`completed_sides`: sides of actors that are mirror images of the other side.
+`boxes` (with --boxes): the box of each actor at the time at which the sensor faces it, in the
+dataset's world; the number of first returns from it; and its visible share, which is the share of
+its rays that no other object blocks.
+)") + make_scan_format_help() +
+           R"(ring: beam, 0 is the highest. time: firing time of the ray, seconds from time_s.
+instance (npz, exr, ply, pcd): surface at the median range, the number in `relidar info RUN`;
+0 background, -1 nothing.
+)";
+}
+
+std::string make_channels_help_text() {
+    std::string text =
+        "Channels of --channels, one value per ray in npz and exr, one per point in ply, pcd, mcap and "
+        "rosbag:\n";
+    for (const ChannelInfo& channel : get_optional_channels())
+        text += fmt::format("  {:<17} {}{}\n", channel.name, channel.meaning,
+                            channel.unit.empty() ? "" : " [" + channel.unit + "]");
+    return text;
 }
 
 }  // namespace

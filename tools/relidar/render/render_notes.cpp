@@ -22,8 +22,7 @@ void print_note_if_log_is_motion_compensated(const TrainedRun& run, const Simula
         fires_rays_at_different_times(sensor, run.config))
         return;
     print_note(fmt::format(
-        "scans of the sensor {} are motion-compensated like the log: all rays are fired at the time of the "
-        "scan; use --set sensor.rolling_shutter=true to fire each ray at its real firing time",
+        "scans of {} are motion-compensated like the log, without --set sensor.rolling_shutter=true",
         sensor.name));
 }
 
@@ -32,9 +31,8 @@ void print_note_if_drop_network_is_unused(const TrainedRun& run, const ScanRende
     if (!run.config.refine.enabled || run.drop_network.empty() || renderer.has_drop_network_for(sensor))
         return;
     print_note(fmt::format(
-        "the ray-drop network of run {} needs range images of type {} with at least {} x {} pixels; scans of "
-        "the sensor {} do not have this format, so the surfels alone decide which of their rays have no "
-        "return",
+        "the ray-drop network of {} needs {} images of at least {} x {} pixels; it is not used for scans of "
+        "{}",
         run.folder.string(), run.drop_network.image, run.drop_network.compute_min_image_rows_and_columns(),
         run.drop_network.compute_min_image_rows_and_columns(), sensor.name));
 }
@@ -73,9 +71,7 @@ void print_rounding_note(const TrainedRun& run, const PoseTrack& dataset_from_se
             largest_m = std::max(largest_m, std::abs(pose.translation[axis]));
     if (const double step_m = compute_float_step_m(largest_m); step_m > kLeastStep_m)
         print_note(
-            fmt::format("--frame world: points are written in single precision, which has steps of {:.3g} m "
-                        "at coordinates of {:.0f} m; without this option, points are exact and scans.json "
-                        "has the poses of the scans",
+            fmt::format("--frame world: single precision has steps of {:.3g} m at coordinates of {:.0f} m",
                         step_m, largest_m));
 }
 
@@ -85,19 +81,13 @@ void print_note_on_time_shift(const LidarSequence& log, std::int64_t time_shift_
 
 void print_sensor_properties_assumed_for_weather(const Weather& weather) {
     if (weather.is_clear()) return;
-    print_note(
-        fmt::format("weather {}: the wavelength of the sensors is unknown, so 905 nm is assumed; if a beam "
-                    "divergence is unknown, 3 mrad is assumed",
-                    format_weather(weather)));
+    print_note(fmt::format("weather {}: assumes a wavelength of 905 nm, and 3 mrad for unknown divergences",
+                           format_weather(weather)));
 }
 
 namespace {
 
-/// Prints a note if rays of the scans reach sides of actors that the log has never
-/// observed. Lists these sides, each with its numbers of scans and rays.
-/// @param sides_json_key key of the list of these sides in an entry of scans.json
-/// @param effect_text what happens to these rays, for example "pass through such a
-/// side"
+/// @param sides_json_key key of the list in an entry of scans.json
 void print_note_on_unobserved_actor_sides(const std::vector<nlohmann::json>& scans, const std::string& folder,
                                           const char* sides_json_key, const char* effect_text) {
     struct ScanRayCounts {
@@ -116,8 +106,7 @@ void print_note_on_unobserved_actor_sides(const std::vector<nlohmann::json>& sca
         texts.push_back(fmt::format("{} in {} scans ({} rays)", name, sum.scans, sum.rays));
     if (texts.empty()) return;
     print_note(
-        fmt::format("{}: some rays reach sides of actors that the log did not observe; these rays {}: {} "
-                    "(see \"{}\" in scans.json)",
+        fmt::format("{}: rays to sides of actors that the log did not observe {}: {} (\"{}\" in scans.json)",
                     folder, effect_text, fmt::join(texts, ", "), sides_json_key));
 }
 
@@ -146,9 +135,8 @@ void print_note_on_unobserved_space(const std::vector<std::string>& scan_json_en
     }
     if (n_unseen == 0) return;
     print_note(fmt::format(
-        "{}: in {} of {} scans, more than {:.0f} % of the rays cross space that the log has not observed. "
-        "The surfaces there are guessed. The share is largest in scan {} with {:.1f} %. \"unseen\" in "
-        "scans.json has the share of each scan; --channels seen shows it for each ray",
+        "{}: in {} of {} scans, more than {:.0f} % of the rays cross space that the log has not observed, "
+        "most in scan {} with {:.1f} % (\"unseen\" in scans.json, --channels seen)",
         scan_folder, n_unseen, n_scans_with_value, 100.0 * kMuchUnseen, worst_number, 100.0 * worst));
 }
 

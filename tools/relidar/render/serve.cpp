@@ -39,15 +39,13 @@ struct ServeCommandOptions {
 };
 
 constexpr int kLongestQueue = 10'000;
-// Maximum time that the server waits after Ctrl-C for pending calls to finish.
+// For pending calls after Ctrl-C.
 constexpr std::chrono::seconds kPatience{30};
 constexpr std::chrono::milliseconds kLook{100};
-// Maximum time that the server waits after the GPU is lost, so that the clients receive
-// the error.
+// After the GPU is lost, so that the clients receive the error.
 constexpr std::chrono::seconds kFarewell{2};
 
-/// Returns how the sensorsim gRPC interface interprets poses: rotation first or
-/// translation first. Returns no value if this interface is disabled.
+/// No value if the interface is disabled.
 std::optional<serve::PoseTransformOrder> parse_sensorsim_pose_order(const ServeCommandOptions& options) {
     const bool offered = options.api == "sensorsim";
     if (!offered && !options.api.empty())
@@ -79,9 +77,8 @@ serve::ServerOptions make_server_options(const ServeCommandOptions& options) {
     return server;
 }
 
-/// Makes all threads share one heap. By default, glibc gives each thread its own heap,
-/// and gRPC often starts and ends threads. One thread allocates a scan and another thread
-/// frees it, which leaves gaps in each heap. Without this function, the memory of the
+/// By default, glibc gives each thread its own heap, and gRPC often starts and ends
+/// threads. One thread allocates a scan and another frees it, so that the memory of the
 /// process would grow for hours (docs/service.md).
 void limit_malloc_to_one_arena() {
 #ifdef __GLIBC__
@@ -106,8 +103,7 @@ void run_serve_command(const ServeCommandOptions& options) {
     if (!options.quiet) {
         print(fmt::format("serving {} at {}:{} on {}\n", fmt::join(server.list_scene_names(), ", "), host,
                           server.port(), server.get_device_name()));
-        // Writes the line immediately, because another program may wait for it through a
-        // pipe.
+        // Another program may wait for the line through a pipe.
         std::fflush(stdout);
     }
     while (!is_interrupted()) {

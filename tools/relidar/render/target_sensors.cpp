@@ -4,8 +4,6 @@
 namespace relidar::cli {
 namespace {
 
-/// Returns the spinning sensor of a sensor model. Returns no value if the sensor does not
-/// spin.
 std::optional<SpinningSensor> get_if_spinning_sensor(const SensorModel& model) {
     const auto* spinning = std::get_if<SpinningSensor>(&model.pattern);
     return spinning ? std::optional(*spinning) : std::nullopt;

@@ -16,11 +16,9 @@ namespace relidar::cli {
 namespace {
 
 constexpr double kMostScans = 1e6;
-// If a trajectory is farther from the recorded path than this, a note is printed, because
-// the log has hardly observed the scene there.
+// The log has hardly observed the scene at this distance from its path.
 constexpr double kFar_m = 50.0;
-// Tolerance for rounding errors, as a fraction of a step. With this tolerance, the times
-// FIRST:LAST:STEP = 0:1:0.1 include 1.
+// Fraction of a step, so that FIRST:LAST:STEP = 0:1:0.1 includes 1.
 constexpr double kSlack = 1e-6;
 
 struct TimeSteps {
@@ -79,8 +77,7 @@ void print_notes_if_trajectory_leaves_log(const TrainedRun& run, const PoseTrack
     }
     if (farthest > kFar_m) {
         print_warning(fmt::format(
-            "the trajectory is up to {:.0f} m away from the path of the log's sensor; expected poses in the "
-            "dataset's world, like the path that `relidar export {} --out FILE.csv` writes",
+            "the trajectory is up to {:.0f} m away from the path of the log's sensor (`relidar export {}`)",
             farthest, run.folder.string()));
     }
     const double begin = log.frames.front().time_s, end = log.frames.back().time_s;

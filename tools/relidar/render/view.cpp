@@ -31,7 +31,7 @@ namespace {
 
 struct ViewOptions {
     std::string run;
-    /// Folders of other runs, whose actors the user can insert on the web page.
+    /// the user can insert their actors on the web page
     std::vector<std::string> inserts;
     std::string save_to;
     std::string address = "127.0.0.1";
@@ -44,14 +44,11 @@ struct ViewOptions {
     bool quiet = false;
 };
 
-// Interval at which the program checks for Ctrl-C.
 constexpr std::chrono::milliseconds kViewPatience{50};
-// Maximum time that the program waits at exit for slow browser tabs to receive their
-// data.
+// For slow browser tabs.
 constexpr std::chrono::seconds kGoodbye{5};
 
-/// Loads the runs of --insert, whose actors the user can insert into the viewed run. The
-/// web page shows these runs under the folder names that the user typed.
+/// The web page shows these runs under the folder names that the user typed.
 view::OtherRunsByName load_other_runs(const std::vector<std::string>& folders) {
     view::OtherRunsByName runs;
     for (const std::string& folder : folders) runs.emplace(folder, load_run(folder));
@@ -73,8 +70,7 @@ view::WebServerOptions make_server_options(const ViewOptions& options) {
 
 void run_view_command(const ViewOptions& options) {
     raise_open_file_limit_to_maximum();
-    // Checks the address of the server before the run is loaded, because loading takes a
-    // long time.
+    // Loading a run takes a long time.
     const view::WebServerOptions server_settings = make_server_options(options);
     require_settings_used_by_command(options.sets, list_rendering_setting_names(), "view");
     TrainedRun run = load_run(options.run);
@@ -84,13 +80,12 @@ void run_view_command(const ViewOptions& options) {
     if (options.no_refine) run.config.refine.enabled = false;
     std::optional<OutputFolder> made;  // Removes the folder at exit if it is still empty.
     if (!options.save_to.empty()) made.emplace(options.save_to);
-    // The web page saves edited runs in this folder.
     const std::filesystem::path save_to =
         options.save_to.empty() ? run.folder / ".." : std::filesystem::path(options.save_to);
     const std::filesystem::path folder = std::filesystem::absolute(save_to).lexically_normal();
     Device device(convert_to_device_options(options.device));
-    // `session` and `foxglove` send results to the server, which calls them. The server
-    // is created last and destroyed first, so they need this pointer to it.
+    // `session` and `foxglove` send results to the server, which calls them. It is
+    // created last and destroyed first.
     view::WebServer* out = nullptr;
     view::ViewerSession session(
         std::move(run), load_other_runs(options.inserts), device, folder,
