@@ -30,10 +30,6 @@ ChannelValues make_incidence_cosine_channel(std::span<const shared::MeasuredRay>
     return cosine;
 }
 
-ChannelValues make_range_spread_channel(const RenderedScan& scan, const ChannelInputs&) {
-    return compute_range_spread(scan);
-}
-
 /// Returns for each ray how fast its range changes, in m/s:
 ///   direction * (velocity of the surface - velocity of the ray's origin)
 /// In weather, add_weather_to_scan() sets the values of returns from the air.
@@ -71,15 +67,6 @@ ChannelValues make_observed_fraction_channel(const RenderedScan& scan, const Cha
     return compute_observed_path_fractions(scan, rays, log);
 }
 
-// add_weather_to_scan() overwrites the causes later.
-ChannelValues make_return_cause_channel_without_weather(const RenderedScan& scan, const ChannelInputs&) {
-    return std::vector<std::int32_t>(scan.median_range_m.size(), std::int32_t(ReturnCause::surface));
-}
-
-ChannelValues make_surfel_drop_probability_channel(const RenderedScan& scan, const ChannelInputs&) {
-    return scan.image.drop_prob;
-}
-
 /// Exactly one of the three functions is set.
 struct ChannelComputation {
     std::string_view name;
@@ -91,11 +78,19 @@ constexpr ChannelComputation kMakers[] = {
     {"normal", make_normal_channel, nullptr, nullptr},
     {kIncidence, nullptr, make_incidence_cosine_channel, nullptr},
     {"velocity", nullptr, nullptr, make_radial_velocity_channel},
-    {"spread", nullptr, nullptr, make_range_spread_channel},
+    {"spread", nullptr, nullptr,
+     [](const RenderedScan& scan, const ChannelInputs&) -> ChannelValues {
+         return compute_range_spread(scan);
+     }},
     {"class", nullptr, nullptr, make_class_channel},
     {"seen", nullptr, nullptr, make_observed_fraction_channel},
-    {"surfel_drop_prob", nullptr, nullptr, make_surfel_drop_probability_channel},
-    {"source", nullptr, nullptr, make_return_cause_channel_without_weather},
+    {"surfel_drop_prob", nullptr, nullptr,
+     [](const RenderedScan& scan, const ChannelInputs&) -> ChannelValues { return scan.image.drop_prob; }},
+    {"source", nullptr, nullptr,
+     // add_weather_to_scan() overwrites the causes later.
+     [](const RenderedScan& scan, const ChannelInputs&) -> ChannelValues {
+         return std::vector<std::int32_t>(scan.median_range_m.size(), std::int32_t(ReturnCause::surface));
+     }},
 };
 
 ChannelComputation find_channel_computation(const ChannelInfo& channel) {

@@ -119,69 +119,67 @@ const std::initializer_list<ProtobufMessageType> kTimes = {
 
 constexpr int kOptional = 1, kRepeated = 3;  // labels of fields in descriptor.proto
 
-std::string make_field_descriptor(const ProtobufField& field) {
+/// Returns the bytes that `write` writes.
+template <class Write>
+std::string encode(const Write& write) {
     std::string bytes;
     pbf_writer writer(bytes);
-    writer.add_string(1, field.name);
-    writer.add_int32(3, field.number);
-    writer.add_enum(4, field.repeated ? kRepeated : kOptional);
-    writer.add_enum(5, field.type);
-    if (*field.type_name) writer.add_string(6, field.type_name);
+    write(writer);
     return bytes;
 }
 
 std::string make_message_descriptor(const ProtobufMessageType& message) {
-    std::string bytes;
-    pbf_writer writer(bytes);
-    writer.add_string(1, message.name);
-    for (const ProtobufField& field : message.fields) writer.add_message(2, make_field_descriptor(field));
-    return bytes;
+    return encode([&](pbf_writer& writer) {
+        writer.add_string(1, message.name);
+        for (const ProtobufField& field : message.fields)
+            writer.add_message(2, encode([&](pbf_writer& of_field) {
+                                   of_field.add_string(1, field.name);
+                                   of_field.add_int32(3, field.number);
+                                   of_field.add_enum(4, field.repeated ? kRepeated : kOptional);
+                                   of_field.add_enum(5, field.type);
+                                   if (*field.type_name) of_field.add_string(6, field.type_name);
+                               }));
+    });
 }
 
 std::string make_enum_descriptor(const ProtobufEnumType& type) {
-    std::string bytes;
-    pbf_writer writer(bytes);
-    writer.add_string(1, type.name);
-    int number = 0;
-    for (const char* name : type.values) {
-        std::string value;
-        pbf_writer of_value(value);
-        of_value.add_string(1, name);
-        of_value.add_int32(2, number++);
-        writer.add_message(2, value);
-    }
-    return bytes;
+    return encode([&](pbf_writer& writer) {
+        writer.add_string(1, type.name);
+        int number = 0;
+        for (const char* name : type.values)
+            writer.add_message(2, encode([&](pbf_writer& of_value) {
+                                   of_value.add_string(1, name);
+                                   of_value.add_int32(2, number++);
+                               }));
+    });
 }
 
 std::string make_file_descriptor(const char* file_name, const char* package, const char* imported_file_name,
                                  std::initializer_list<ProtobufMessageType> messages,
                                  std::initializer_list<ProtobufEnumType> enums) {
-    std::string bytes;
-    pbf_writer writer(bytes);
-    writer.add_string(1, file_name);
-    writer.add_string(2, package);
-    if (*imported_file_name) writer.add_string(3, imported_file_name);
-    for (const ProtobufMessageType& message : messages)
-        writer.add_message(4, make_message_descriptor(message));
-    for (const ProtobufEnumType& type : enums) writer.add_message(5, make_enum_descriptor(type));
-    writer.add_string(12, "proto3");
-    return bytes;
+    return encode([&](pbf_writer& writer) {
+        writer.add_string(1, file_name);
+        writer.add_string(2, package);
+        if (*imported_file_name) writer.add_string(3, imported_file_name);
+        for (const ProtobufMessageType& message : messages)
+            writer.add_message(4, make_message_descriptor(message));
+        for (const ProtobufEnumType& type : enums) writer.add_message(5, make_enum_descriptor(type));
+        writer.add_string(12, "proto3");
+    });
 }
 
 std::string make_timestamp_message(std::uint64_t time_ns) {
-    std::string bytes;
-    pbf_writer writer(bytes);
-    writer.add_int64(1, std::int64_t(time_ns / 1'000'000'000));
-    writer.add_int32(2, std::int32_t(time_ns % 1'000'000'000));
-    return bytes;
+    return encode([&](pbf_writer& writer) {
+        writer.add_int64(1, std::int64_t(time_ns / 1'000'000'000));
+        writer.add_int32(2, std::int32_t(time_ns % 1'000'000'000));
+    });
 }
 
 std::string encode_doubles_as_fields_1_to_n(std::initializer_list<double> values) {
-    std::string bytes;
-    pbf_writer writer(bytes);
-    protozero::pbf_tag_type number = 0;
-    for (const double value : values) writer.add_double(++number, value);
-    return bytes;
+    return encode([&](pbf_writer& writer) {
+        protozero::pbf_tag_type number = 0;
+        for (const double value : values) writer.add_double(++number, value);
+    });
 }
 
 std::string make_vector_message(const glm::dvec3& vector) {
@@ -192,11 +190,10 @@ std::string make_quaternion_message(const glm::dquat& quaternion) {
 }
 
 std::string make_pose_message(const Pose& pose) {
-    std::string bytes;
-    pbf_writer writer(bytes);
-    writer.add_message(1, make_vector_message(pose.translation));
-    writer.add_message(2, make_quaternion_message(pose.rotation));
-    return bytes;
+    return encode([&](pbf_writer& writer) {
+        writer.add_message(1, make_vector_message(pose.translation));
+        writer.add_message(2, make_quaternion_message(pose.rotation));
+    });
 }
 
 enum FoxgloveNumericType { kUint8 = 1, kUint16 = 3, kInt32Number = 6, kFloat32 = 7 };
@@ -240,54 +237,43 @@ std::string pack_points_to_bytes(const LidarPoints& cloud) {
 
 std::string make_point_cloud_message(const RecordedCloud& recorded, const std::string& frame_id) {
     const LidarPoints& cloud = recorded.points;
-    std::string bytes;
-    pbf_writer writer(bytes);
-    writer.add_message(1, make_timestamp_message(recorded.stamp_ns));
-    writer.add_string(2, frame_id);
-    writer.add_message(3, make_pose_message({}));
-    const std::vector<FoxglovePointField> fields = list_point_fields(cloud);
-    writer.add_fixed32(4, fields.size() == std::size(kPointFields) ? kStride : fields.back().offset + 4);
-    for (const FoxglovePointField& field : fields) {
-        std::string of_field;
-        pbf_writer element(of_field);
-        element.add_string(1, field.name);
-        element.add_fixed32(2, field.offset);
-        element.add_enum(3, field.type);
-        writer.add_message(5, of_field);
-    }
-    writer.add_bytes(6, pack_points_to_bytes(cloud));
-    return bytes;
+    return encode([&](pbf_writer& writer) {
+        writer.add_message(1, make_timestamp_message(recorded.stamp_ns));
+        writer.add_string(2, frame_id);
+        writer.add_message(3, make_pose_message({}));
+        const std::vector<FoxglovePointField> fields = list_point_fields(cloud);
+        writer.add_fixed32(4, fields.size() == std::size(kPointFields) ? kStride : fields.back().offset + 4);
+        for (const FoxglovePointField& field : fields)
+            writer.add_message(5, encode([&](pbf_writer& element) {
+                                   element.add_string(1, field.name);
+                                   element.add_fixed32(2, field.offset);
+                                   element.add_enum(3, field.type);
+                               }));
+        writer.add_bytes(6, pack_points_to_bytes(cloud));
+    });
 }
 
+/// A foxglove.FrameTransforms message with one transform.
 std::string make_frame_transform_message(std::uint64_t time_ns, const std::string& parent_frame,
                                          const std::string& child_frame, const Pose& parent_from_child) {
-    std::string all, bytes;
-    pbf_writer transforms(all), writer(bytes);
-    writer.add_message(1, make_timestamp_message(time_ns));
-    writer.add_string(2, parent_frame);
-    writer.add_string(3, child_frame);
-    writer.add_message(4, make_vector_message(parent_from_child.translation));
-    writer.add_message(5, make_quaternion_message(parent_from_child.rotation));
-    transforms.add_message(1, bytes);
-    return all;
+    return encode([&](pbf_writer& transforms) {
+        transforms.add_message(1, encode([&](pbf_writer& writer) {
+                                   writer.add_message(1, make_timestamp_message(time_ns));
+                                   writer.add_string(2, parent_frame);
+                                   writer.add_string(3, child_frame);
+                                   writer.add_message(4, make_vector_message(parent_from_child.translation));
+                                   writer.add_message(5, make_quaternion_message(parent_from_child.rotation));
+                               }));
+    });
 }
 
 std::string make_box_message(const RecordedActor& actor) {
-    std::string bytes;
-    pbf_writer writer(bytes);
-    writer.add_message(1, make_pose_message(actor.faced.world_from_box));
-    writer.add_message(2, make_vector_message(actor.size_m));
-    // translucent so that the points inside the box stay visible
-    writer.add_message(3, encode_doubles_as_fields_1_to_n({1.0, 0.6, 0.1, 0.3}));
-    return bytes;
-}
-
-std::string make_key_value_message(const char* key, const std::string& value) {
-    std::string bytes;
-    pbf_writer writer(bytes);
-    writer.add_string(1, key);
-    writer.add_string(2, value);
-    return bytes;
+    return encode([&](pbf_writer& writer) {
+        writer.add_message(1, make_pose_message(actor.faced.world_from_box));
+        writer.add_message(2, make_vector_message(actor.size_m));
+        // translucent so that the points inside the box stay visible
+        writer.add_message(3, encode_doubles_as_fields_1_to_n({1.0, 0.6, 0.1, 0.3}));
+    });
 }
 
 std::string format_vector(const glm::dvec3& vector) {
@@ -298,32 +284,36 @@ std::string format_vector(const glm::dvec3& vector) {
 std::string make_actor_boxes_message(std::uint64_t stamp_ns, const std::vector<RecordedActor>& actors) {
     // SceneEntityDeletionType ALL deletes all earlier boxes.
     constexpr int kAll = 1;
-    std::string bytes, all;
-    pbf_writer writer(bytes), deletion(all);
-    deletion.add_message(1, make_timestamp_message(stamp_ns));
-    deletion.add_enum(2, kAll);
-    writer.add_message(1, all);
-    for (const RecordedActor& actor : actors) {
-        std::string of_actor;
-        pbf_writer entity(of_actor);
-        const auto& [time_ns, world_from_box, velocity] = actor.faced;
-        entity.add_message(1, make_timestamp_message(time_ns));
-        entity.add_string(2, kWorldFrame);
-        entity.add_string(3, actor.name);
-        entity.add_message(6, make_key_value_message("category", actor.category));
-        entity.add_message(6, make_key_value_message("velocity_mps", format_vector(world_from_box.rotation *
-                                                                                   velocity.linear_mps)));
-        entity.add_message(
-            6, make_key_value_message("angular_velocity_radps",
-                                      format_vector(world_from_box.rotation * velocity.angular_radps)));
-        entity.add_message(6, make_key_value_message("points", fmt::format("{}", actor.n_points)));
-        if (actor.visible_share)
-            entity.add_message(
-                6, make_key_value_message("visible_share", fmt::format("{:.6g}", *actor.visible_share)));
-        entity.add_message(8, make_box_message(actor));
-        writer.add_message(2, of_actor);
-    }
-    return bytes;
+    return encode([&](pbf_writer& writer) {
+        writer.add_message(1, encode([&](pbf_writer& deletion) {
+                               deletion.add_message(1, make_timestamp_message(stamp_ns));
+                               deletion.add_enum(2, kAll);
+                           }));
+        for (const RecordedActor& actor : actors) {
+            const auto& [time_ns, world_from_box, velocity] = actor.faced;
+            std::vector<std::pair<const char*, std::string>> metadata = {
+                {"category", actor.category},
+                {"velocity_mps", format_vector(world_from_box.rotation * velocity.linear_mps)},
+                {"angular_velocity_radps", format_vector(world_from_box.rotation * velocity.angular_radps)},
+                {"points", fmt::format("{}", actor.n_points)}};
+            if (actor.visible_share)
+                metadata.emplace_back("visible_share", fmt::format("{:.6g}", *actor.visible_share));
+            std::string of_actor;
+            pbf_writer entity(of_actor);
+            entity.add_message(1, make_timestamp_message(time_ns));
+            entity.add_string(2, kWorldFrame);
+            entity.add_string(3, actor.name);
+            for (const auto& [key, value] : metadata) {
+                std::string bytes;
+                pbf_writer pair(bytes);
+                pair.add_string(1, key);
+                pair.add_string(2, value);
+                entity.add_message(6, bytes);
+            }
+            entity.add_message(8, make_box_message(actor));
+            writer.add_message(2, of_actor);
+        }
+    });
 }
 
 std::vector<RecordedMessage> make_vehicle_transform_messages(const RecordedSweep& moment) {

@@ -29,34 +29,16 @@ void add_stamped_transform(CdrWriter& cdr, std::uint64_t stamp_ns, const std::st
     add_pose(cdr, parent_from_child);
 }
 
-std::string make_vehicle_transform_message(const RecordedPose& pose) {
-    CdrWriter cdr;
-    cdr.append_aligned_number(std::uint32_t(1));
-    add_stamped_transform(cdr, pose.time_ns, kWorldFrame, kVehicleFrame, pose.world_from_vehicle);
-    return cdr.take_encoded_message();
-}
-
-std::string make_odometry_message(const RecordedPose& pose) {
-    CdrWriter cdr;
-    add_header(cdr, pose.time_ns, kWorldFrame);
-    cdr.append_string(kVehicleFrame);
-    add_pose(cdr, pose.world_from_vehicle);
-    add_zero_covariance(cdr);
-    add_velocity_with_covariance(cdr, pose.velocity);
-    return cdr.take_encoded_message();
-}
-
-std::string make_ros_clock_message(const RecordedPose& pose) {
-    CdrWriter cdr;
-    add_time(cdr, pose.time_ns);
-    return cdr.take_encoded_message();
-}
-
+/// @param write writes the message of a pose
 RecordedTopic make_topic_with_message_per_pose(const char* name, const char* message_type,
-                                               std::string (*make_message)(const RecordedPose&)) {
-    return make_ros_topic(name, message_type, [make_message](const RecordedSweep& moment) {
+                                               void (*write)(CdrWriter&, const RecordedPose&)) {
+    return make_ros_topic(name, message_type, [write](const RecordedSweep& moment) {
         std::vector<RecordedMessage> messages;
-        for (const RecordedPose& pose : moment.poses) messages.push_back({pose.time_ns, make_message(pose)});
+        for (const RecordedPose& pose : moment.poses) {
+            CdrWriter cdr;
+            write(cdr, pose);
+            messages.push_back({pose.time_ns, cdr.take_encoded_message()});
+        }
         return messages;
     });
 }
@@ -88,10 +70,24 @@ RecordedTopic make_ros_topic(const std::string& name, const std::string& message
 
 std::vector<RecordedTopic> list_ros_topics(const RecordedRig& rig) {
     std::vector<RecordedTopic> topics{
-        make_topic_with_message_per_pose("/clock", "rosgraph_msgs/msg/Clock", make_ros_clock_message),
+        make_topic_with_message_per_pose(
+            "/clock", "rosgraph_msgs/msg/Clock",
+            [](CdrWriter& cdr, const RecordedPose& pose) { add_time(cdr, pose.time_ns); }),
         make_static_transform_topic(rig),
-        make_topic_with_message_per_pose("/tf", "tf2_msgs/msg/TFMessage", make_vehicle_transform_message),
-        make_topic_with_message_per_pose("/odom", "nav_msgs/msg/Odometry", make_odometry_message)};
+        make_topic_with_message_per_pose("/tf", "tf2_msgs/msg/TFMessage",
+                                         [](CdrWriter& cdr, const RecordedPose& pose) {
+                                             cdr.append_aligned_number(std::uint32_t(1));
+                                             add_stamped_transform(cdr, pose.time_ns, kWorldFrame,
+                                                                   kVehicleFrame, pose.world_from_vehicle);
+                                         }),
+        make_topic_with_message_per_pose("/odom", "nav_msgs/msg/Odometry",
+                                         [](CdrWriter& cdr, const RecordedPose& pose) {
+                                             add_header(cdr, pose.time_ns, kWorldFrame);
+                                             cdr.append_string(kVehicleFrame);
+                                             add_pose(cdr, pose.world_from_vehicle);
+                                             add_zero_covariance(cdr);
+                                             add_velocity_with_covariance(cdr, pose.velocity);
+                                         })};
     for (RecordedTopic& topic : list_ros_actor_topics()) topics.push_back(std::move(topic));
     for (std::size_t sensor = 0; sensor < rig.sensors.size(); ++sensor)
         for (RecordedTopic& topic : list_ros_cloud_topics(rig, sensor)) topics.push_back(std::move(topic));

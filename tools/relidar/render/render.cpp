@@ -136,10 +136,6 @@ ScanOutputOptions make_scan_output_format(const RenderOptions& options, const Tr
     return format;
 }
 
-bool has_stamped_outputs(const RenderOptions& options) {
-    return std::ranges::any_of(parse_file_formats(options.formats), is_recording_format);
-}
-
 void require_valid_render_options(const RenderOptions& options, bool is_rig, const MpiProcessGroup& ranks) {
     for (const std::string& format : parse_file_formats(options.formats))
         if (ranks.size() > 1 && is_recording_format(format))
@@ -379,7 +375,8 @@ void run_render_command(const RenderOptions& command_options) {
     if (options.boxes) renderer.enable_actor_visibility();
     renderer.set_weather(parse_weather(options.weather));
     RenderOutputs output = create_output_folders(options, run, targets, offset, ranks);
-    if (has_stamped_outputs(options)) print_note_on_time_shift(run.sequence, options.time_shift_ns);
+    if (std::ranges::any_of(parse_file_formats(options.formats), is_recording_format))
+        print_note_on_time_shift(run.sequence, options.time_shift_ns);
     if (options.sample) print_notes_on_missing_noise_models(run, lidar);
     print_rounding_note(run, track, parse_point_frame(options.point_frame));
     print_sensor_properties_assumed_for_weather(parse_weather(options.weather));

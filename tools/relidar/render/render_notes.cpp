@@ -15,34 +15,19 @@
 
 namespace relidar::cli {
 
-namespace {
-
-void print_note_if_log_is_motion_compensated(const TrainedRun& run, const SimulatedSensor& sensor) {
-    if (run.config.sensor.rolling_shutter != RollingShutter::automatic ||
-        fires_rays_at_different_times(sensor, run.config))
-        return;
-    print_note(fmt::format(
-        "scans of {} are motion-compensated like the log, without --set sensor.rolling_shutter=true",
-        sensor.name));
-}
-
-void print_note_if_drop_network_is_unused(const TrainedRun& run, const ScanRenderer& renderer,
-                                          const SimulatedSensor& sensor) {
-    if (!run.config.refine.enabled || run.drop_network.empty() || renderer.has_drop_network_for(sensor))
-        return;
-    print_note(fmt::format(
-        "the ray-drop network of {} needs {} images of at least {} x {} pixels; it is not used for scans of "
-        "{}",
-        run.folder.string(), run.drop_network.image, run.drop_network.compute_min_image_rows_and_columns(),
-        run.drop_network.compute_min_image_rows_and_columns(), sensor.name));
-}
-
-}  // namespace
-
 void print_notes_on_sensor(const TrainedRun& run, const ScanRenderer& renderer,
                            const SimulatedSensor& sensor) {
-    print_note_if_log_is_motion_compensated(run, sensor);
-    print_note_if_drop_network_is_unused(run, renderer, sensor);
+    if (run.config.sensor.rolling_shutter == RollingShutter::automatic &&
+        !fires_rays_at_different_times(sensor, run.config))
+        print_note(fmt::format(
+            "scans of {} are motion-compensated like the log, without --set sensor.rolling_shutter=true",
+            sensor.name));
+    if (run.config.refine.enabled && !run.drop_network.empty() && !renderer.has_drop_network_for(sensor))
+        print_note(fmt::format(
+            "the ray-drop network of {} needs {} images of at least {} x {} pixels; scans of {} do without",
+            run.folder.string(), run.drop_network.image,
+            run.drop_network.compute_min_image_rows_and_columns(),
+            run.drop_network.compute_min_image_rows_and_columns(), sensor.name));
 }
 
 void print_notes_on_missing_noise_models(const TrainedRun& run, int lidar_index) {
