@@ -35,8 +35,8 @@ std::string explain_conversion_error(const std::string& parser_message) {
                        parser_message.substr(at + middle.size()));
 }
 
-/// The parser stores each unexpected word in the command that read it. Names the first one,
-/// because it is the user's mistake.
+/// The parser stores each unexpected word in the command that read it. Names the first
+/// one, because it is the user's mistake.
 /// @param app parser after it has failed
 std::string make_usage_error_message(const CLI::App& app, const std::string& parser_message) {
     const CLI::App* chosen = &app;

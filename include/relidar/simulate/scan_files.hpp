@@ -94,33 +94,24 @@ std::string make_valid_topic_name(const std::string& name);
 
 /// Writes recordings: a file for each recording format, with all scans of a sensor or
 /// of the sensors of a rig. A file gets its final name when it is finished.
-///   mcap    scans.mcap, for Foxglove
-///     topic of each sensor  foxglove.PointCloud (x y z intensity time instance ring
-///                           return, channels)
-///     /tf, /tf_static       foxglove.FrameTransforms
-///     /actors               foxglove.SceneUpdate with a box for each actor
-///   rosbag  rosbag.mcap, a bag of ROS 2
-///     topic of each sensor  sensor_msgs/PointCloud2 (x y z intensity time ring,
-///                           channels)
-///     TOPIC_xyzircaedt      the same with Autoware's point type; only in sensor frame
-///     /tf, /tf_static, /clock
-///     /odom                 nav_msgs/Odometry
-///     /actors               vision_msgs/Detection3DArray
-///     /actors_autoware      autoware_perception_msgs/TrackedObjects
-///   pcap    packets.pcap, or packets_NAME.pcap for each sensor of a rig: the packets
-///           that the sensor sends (PacketEncoder). The file packets.csv or packets.json
-///           has the calibration for its driver.
-/// Transforms on /tf: world -> base_link (the log's vehicle), every 10 ms of a sweep and
-/// at every pose of its path. Transforms on /tf_static: base_link -> each sensor.
+///   mcap    scans.mcap, for Foxglove: foxglove.PointCloud of each sensor (x y z intensity
+///           time instance ring return, channels), FrameTransforms on /tf and /tf_static,
+///           SceneUpdate on /actors with a box for each actor
+///   rosbag  rosbag.mcap, of ROS 2: sensor_msgs/PointCloud2 of each sensor (x y z intensity
+///           time ring, channels) and in the sensor frame TOPIC_xyzircaedt with Autoware's
+///           point type; /tf, /tf_static, /clock, /odom; boxes on /actors
+///           (vision_msgs/Detection3DArray) and /actors_autoware (TrackedObjects)
+///   pcap    packets.pcap, or packets_NAME.pcap for each sensor of a rig (PacketEncoder);
+///           packets.csv or packets.json has the calibration for the driver
+/// Transforms: world -> base_link (the log's vehicle), every 10 ms of a sweep and at
+/// every pose of its path; base_link -> each sensor.
 ///
 /// Times: stamps are times of the log plus ScanOutputOptions::time_shift_ns. The stamp of
-/// a cloud is the time of its first ray, and the times of points are relative to it. With
-/// ScanOutputOptions::deskew, the transforms at the time of
-/// the stamp convert all points to the world. Otherwise each point in the sensor frame is
-/// converted by the transforms at its own time. Each box on /actors has the time at which
-/// the sensor faces it. Boxes on /actors_autoware have the time of the cloud, and
-/// velocities. A scan is logged at the time of its last ray, after the transforms that it
-/// needs.
+/// a cloud is the time of its first ray; times of points are relative to it. Points in
+/// the sensor frame are converted to the world by the transforms at their own times, or with
+/// ScanOutputOptions::deskew at the stamp. A box on /actors has the time at which the
+/// sensor faces it; boxes on /actors_autoware have the time of the cloud, and velocities.
+/// A scan is logged at the time of its last ray, after the transforms that it needs.
 class ScanRecordingsWriter {
 public:
     /// Creates the recordings in an existing folder. Removes list_scan_files().

@@ -29,8 +29,8 @@ namespace {
 
 namespace fs = std::filesystem;
 
-/// All scans of a rendering as one MCAP file. Until finish_writing() is called, the file has
-/// a temporary name in the same folder.
+/// All scans of a rendering as one MCAP file. Until finish_writing() is called, the file
+/// has a temporary name in the same folder.
 class RecordingFileWriter {
 public:
     /// @throws DataError if the file cannot be written

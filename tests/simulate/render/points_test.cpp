@@ -388,17 +388,6 @@ TEST_F(PointsOfScans, OfGridsSubRaysSamplesAndWeatherAreTheSame) {
     expect_equal(alone(fog), on_host(fog), "fog");
 }
 
-TEST_F(PointsOfScans, MayBeLeftBehind) {
-    const PointRequest wish{sensor("native"), {middle_s(), bend()}, middle_s()};
-    make_renderer();
-    const RenderedPoints expected = on_host(wish);
-    ask(wish);
-    ask(wish);
-    make_renderer();  // if memory is still in use, the validation layer reports it
-    ask(wish);
-    expect_equal(renderer->wait_for_points(), expected, "of the next renderer");
-}
-
 TEST_F(PointsOfScans, AreTakenAsOftenAsAskedFor) {
     make_renderer();
     const PointRequest wish{sensor("VLP-16:300x10"), {middle_s(), bend()}, middle_s()};

@@ -393,39 +393,6 @@ TEST(ThinWeather, ReturnsAsTheClosedForm) {
     }
 }
 
-/// With thicker weather, fewer surfaces must be detected. The total number of returns may
-/// exceed the number in clear air only by the reported returns from the air.
-TEST(ThinWeather, MoreOfItLeavesFewerSurfaces) {
-    const WeatherSensorProperties sensor = make_sensor_with_time_control();
-    const auto count = [&](const Weather& weather) {
-        const WeatherRaySimulator air = make_air_of(weather, sensor);
-        std::pair<int, int> surfaces_and_others;
-        for (std::uint64_t seed = 0; seed < 20'000; ++seed) {
-            const double range_m = 2.0 + 78.0 * double(seed) / 20'000.0,
-                         reflectivity = 0.01 * double(seed % 40);
-            const ReturnCause source =
-                echoes_of(air, surface_at(range_m, reflectivity), seed).strongest.source;
-            surfaces_and_others.first += source == ReturnCause::surface;
-            surfaces_and_others.second += source != ReturnCause::surface && source != ReturnCause::nothing;
-        }
-        return surfaces_and_others;
-    };
-    const int clear = count({}).first;
-    EXPECT_EQ(clear, 20'000);
-    int fog_before = clear, rain_before = clear;
-    for (const double thickness : {1e-4, 1e-3, 0.01, 0.02, 0.05, 0.1}) {
-        const auto [surfaces, others] = count({.fog_visibility_m = 1.0 / thickness});
-        EXPECT_LE(surfaces, fog_before) << thickness;
-        EXPECT_LE(surfaces + others, clear);
-        fog_before = surfaces;
-        const auto [in_rain, drops] = count({.rain_mm_h = 2000.0 * thickness});
-        EXPECT_LE(in_rain, rain_before) << thickness;
-        rain_before = in_rain;
-    }
-    EXPECT_LT(fog_before, clear / 2);
-    EXPECT_LT(rain_before, clear - 200);
-}
-
 /// The share of hidden surfaces must follow a closed form. A surface with intensity 0 in
 /// the log has a brightness that is uniformly distributed from 0.0025 to 0.01. If the
 /// share A of its light passes the weather, surfaces below 0.0025 / A are hidden.
