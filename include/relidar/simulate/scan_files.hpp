@@ -108,10 +108,11 @@ std::string make_valid_topic_name(const std::string& name);
 ///
 /// Times: stamps are times of the log plus ScanOutputOptions::time_shift_ns. The stamp of
 /// a cloud is the time of its first ray; times of points are relative to it. Points in
-/// the sensor frame are converted to the world by the transforms at their own times, or with
-/// ScanOutputOptions::deskew at the stamp. A box on /actors has the time at which the
-/// sensor faces it; boxes on /actors_autoware have the time of the cloud, and velocities.
-/// A scan is logged at the time of its last ray, after the transforms that it needs.
+/// the sensor frame are converted to the world by the transforms at their own times, or
+/// with ScanOutputOptions::deskew at the stamp. A box on /actors has the time at which
+/// the sensor faces it; boxes on /actors_autoware have the time of the cloud, and
+/// velocities. A scan is logged at the time of its last ray, after the transforms that it
+/// needs.
 class ScanRecordingsWriter {
 public:
     /// Creates the recordings in an existing folder. Removes list_scan_files().
