@@ -11,6 +11,7 @@
 #include <relidar/simulate/render.hpp>
 
 #include "../../support/device.hpp"
+#include "../plates.hpp"
 #include "simulate/render/footprint.hpp"
 
 namespace relidar {
@@ -33,14 +34,11 @@ const std::vector<glm::vec3>& list_ways(const RenderedScan& scan) {
 /// Values are 14 ray + channel. All rays have a return and almost the same origin.
 RenderedScan make_marked_scan(int count, int first = 0) {
     RenderedScan scan;
-    scan.image.rows = 1;
-    scan.image.columns = count;
     std::vector<std::int32_t> label;
     std::vector<float> share;
     std::vector<glm::vec3> vectors;
     for (int i = 0; i < count; ++i) {
         const auto code = float(kStep * (first + i));
-        scan.image.origin.emplace_back(0.0f);
         scan.image.direction.push_back(glm::normalize(glm::vec3(1.0f, 0.05f * float(first + i), 0.0f)));
         scan.image.range_m.push_back(code + 1.0f);
         scan.median_range_m.push_back(code + 2.0f);
@@ -49,7 +47,6 @@ RenderedScan make_marked_scan(int count, int first = 0) {
         scan.image.drop_prob.push_back(1e-6f * (code + 5.0f));
         scan.weight.push_back(code + 6.0f);
         scan.instance.push_back(int(code) + 7);
-        scan.ring.push_back(0);
         scan.time_offset_s.push_back(code + 8.0f);
         label.push_back(int(code) + 9);
         share.push_back(code + 10.0f);
@@ -57,7 +54,7 @@ RenderedScan make_marked_scan(int count, int first = 0) {
     }
     scan.channels = {
         {{.name = kLabel, .none = -5.0}, label}, {{.name = kShare}, share}, {{.name = kVector}, vectors}};
-    return scan;
+    return test::complete(std::move(scan));
 }
 
 void expect_marks(const RenderedScan& scan, std::size_t index, int ray) {

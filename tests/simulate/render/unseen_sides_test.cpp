@@ -5,6 +5,8 @@
 
 #include <relidar/simulate/render.hpp>
 
+#include "../plates.hpp"
+
 namespace relidar {
 namespace {
 
@@ -43,18 +45,15 @@ RenderedScan make_grid_scan(float return_m) {
     RenderedScan scan;
     for (int y = -20; y < 20; ++y)
         for (int z = -20; z < 20; ++z) {
-            scan.image.origin.emplace_back(0.0f);
             scan.image.direction.push_back(glm::normalize(glm::vec3(8.0, 0.1 * y + 0.05, 0.1 * z + 0.05)));
         }
-    const std::size_t n = scan.image.origin.size();
-    scan.image.range_m.assign(n, return_m);
-    scan.median_range_m.assign(n, return_m);
-    scan.time_offset_s.assign(n, 0.0f);
+    scan.image.range_m.assign(scan.image.direction.size(), return_m);
     scan.world_from_sensor = {glm::dquat(1, 0, 0, 0), {kOffset_m, 0.0, 0.0}};
     scan.track.time_s = {0.0};
     scan.track.pose = {scan.world_from_sensor};
     scan.time_s = 0.5;
-    return scan;
+    scan.instance.assign(scan.image.range_m.size(), -1);
+    return test::complete(std::move(scan));
 }
 
 TEST(UnseenSides, CountsTheRaysThatEnterThroughTheRear) {

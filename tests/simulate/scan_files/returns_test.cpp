@@ -17,6 +17,7 @@
 #include "../../base/codecs/temporary_folder.hpp"
 #include "../../support/device.hpp"
 #include "../../support/drop_networks.hpp"
+#include "../plates.hpp"
 
 namespace relidar {
 namespace {
@@ -24,23 +25,11 @@ namespace {
 constexpr int kBeams = 16, kSteps = 256;
 constexpr double kHeight_m = 3.0;  // height of the sensor above a plate of 4 m
 
-/// Returns the number of rays that hit a round plate on the ground below the sensor.
 std::size_t count_rays_onto_plate(const RayTable& rays, double radius_m) {
     std::size_t n = 0;
     for (const glm::vec3& d : rays.direction)
         n += d.z < 0.0f && kHeight_m / -double(d.z) * std::hypot(double(d.x), double(d.y)) < radius_m;
     return n;
-}
-
-Surfels make_plate_below() {
-    Surfels surfels;
-    surfels.resize(1);
-    surfels.rotation[0] = {1.0f, 0.0f, 0.0f, 0.0f};
-    surfels.log_scale[0] = glm::vec2(std::log(4.0f));
-    surfels.opacity_logit[0] = 6.0f;
-    surfels.sh.assign(kShFloats, 0.0f);
-    surfels.sh[kShCoefficients] = 20.0f;  // hit logit
-    return surfels;
 }
 
 template <class T>
@@ -50,7 +39,6 @@ T value_at(const std::string& bytes, std::size_t offset) {
     return value;
 }
 
-/// Returns the number that follows a word in a header.
 std::size_t count_behind(const std::string& text, const std::string& word) {
     return std::stoul(text.substr(text.find(word) + word.size()));
 }
@@ -83,15 +71,13 @@ std::string find_message_on(const std::string& bytes, const std::string& topic) 
     return search_records(8, bytes.size() - 8, search_records);
 }
 
-/// Returns the number of points of a sensor_msgs/PointCloud2 from its width and height.
 std::size_t count_points_of_ros(const std::string& message) {
     const std::size_t name = 4 + 8, end = name + 4 + value_at<std::uint32_t>(message, name),
                       sizes = (end - 4 + 3) / 4 * 4 + 4;
     return std::size_t(value_at<std::uint32_t>(message, sizes)) * value_at<std::uint32_t>(message, sizes + 4);
 }
 
-/// Returns the number of points of a foxglove.PointCloud: the size of field 6 divided by
-/// the size of a point, field 4.
+/// The size of field 6 divided by the size of a point, field 4.
 std::size_t count_points_of_foxglove(const std::string& message) {
     std::size_t at = 0, stride = 0, n_bytes = 0;
     const auto varint = [&] {
@@ -149,7 +135,8 @@ TEST_F(Returns, AreAsManyInEveryFormat) {
     log.rolling_shutter = false;
     const Config config;
     const SimulatedSensor choice = make_sensor_from_config(config, log);
-    ScanRenderer renderer(device(), make_background_scene(make_plate_below()), config, log);
+    ScanRenderer renderer(device(), make_background_scene(test::make_plate({}, glm::vec2(4.0f), true)),
+                          config, log);
     renderer.set_drop_network(test::make_network_that_never_drops());
     const RenderedScan scan = renderer.render(choice, 1.0);
     const std::size_t n = convert_scan_to_points(scan, config, {}, PointSelection::first_returns).size();
@@ -188,12 +175,8 @@ TEST_F(Returns, AreAsManyInEveryFormat) {
 TEST(ScanPicture, RaysWithoutRowsAreDrawnInLines) {
     constexpr std::size_t kRays = 5000;
     RenderedScan scan;
-    scan.image.rows = 1;
-    scan.image.columns = int(kRays);
     scan.image.range_m.assign(kRays, 10.0f);
-    scan.image.intensity.assign(kRays, 0.5f);
-    scan.image.drop_prob.assign(kRays, 0.0f);
-    const Image picture = draw_scan_picture(scan);
+    const Image picture = draw_scan_picture(test::complete(scan));
     EXPECT_EQ(picture.columns, 2048);
     EXPECT_LT(picture.rows, 1000);
     const auto pixel_of = [&](std::size_t ray) {
