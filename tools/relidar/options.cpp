@@ -11,7 +11,6 @@
 #include <fmt/ranges.h>
 #include <CLI/CLI.hpp>
 
-#include <relidar/base/error.hpp>
 #include <relidar/diff/first_use.hpp>
 #include <relidar/log/channels.hpp>
 #include <relidar/run/run.hpp>

@@ -17,9 +17,6 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
-#include <fmt/format.h>
-
-#include <relidar/base/error.hpp>
 #include <relidar/base/files.hpp>
 #include <relidar/log/dataset.hpp>
 #include <relidar/run/checkpoint.hpp>

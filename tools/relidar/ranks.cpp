@@ -9,10 +9,8 @@
 #include <numeric>
 #include <thread>
 
-#include <fmt/format.h>
 #include <mpi.h>
 
-#include <relidar/base/error.hpp>
 #include <relidar/gpu/device.hpp>
 #include <relidar/log/sensor.hpp>
 #include "console.hpp"

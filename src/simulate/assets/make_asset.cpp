@@ -9,7 +9,6 @@
 #include <fmt/format.h>
 #include <fmt/ranges.h>
 
-#include <relidar/base/error.hpp>
 #include <relidar/run/edit.hpp>
 #include <relidar/scene/symmetry.hpp>
 

@@ -1,13 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 // Requests scans and collects their points. The device renders a scan while the host
 // processes an earlier scan.
-#include <algorithm>
 #include <cstdint>
 #include <span>
 
-#include <fmt/format.h>
-
-#include <relidar/base/error.hpp>
 #include <relidar/diff/accel.hpp>
 #include <relidar/simulate/place_points.hpp>
 

@@ -4,10 +4,6 @@
 #include <algorithm>
 #include <type_traits>
 
-#include <fmt/format.h>
-
-#include <relidar/base/error.hpp>
-
 #include "base/fail.hpp"
 #include "simulate/render/channel_pairs.hpp"
 

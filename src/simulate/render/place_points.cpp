@@ -5,7 +5,6 @@
 #include <relidar/simulate/place_points.hpp>
 
 #include <algorithm>
-#include <utility>
 
 #include "base/parallel.hpp"
 #include "simulate/render/sensor_rays.hpp"

@@ -10,9 +10,6 @@
 #include <span>
 #include <utility>
 
-#include <fmt/format.h>
-
-#include <relidar/base/error.hpp>
 #include <relidar/diff/accel.hpp>
 #include <relidar/log/sensor_pattern.hpp>
 #include <relidar/run/run.hpp>

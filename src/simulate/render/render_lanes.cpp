@@ -5,7 +5,6 @@
 
 #include <fmt/format.h>
 
-#include <relidar/base/error.hpp>
 #include <relidar/gpu/out_of_memory.hpp>
 
 #include "simulate/render/resident_scene.hpp"

@@ -8,9 +8,6 @@
 #include <cmath>
 #include <type_traits>
 
-#include <fmt/format.h>
-
-#include <relidar/base/error.hpp>
 #include <relidar/log/sensor_files.hpp>
 #include <relidar/run/stage_options.hpp>
 #include "base/fail.hpp"

@@ -9,10 +9,6 @@
 #include <cstring>
 #include <utility>
 
-#include <fmt/format.h>
-
-#include <relidar/base/error.hpp>
-
 #include "base/fail.hpp"
 #include "base/files.hpp"
 #include "base/parallel.hpp"

@@ -4,7 +4,6 @@
 #include "recording_format.hpp"
 
 #include <initializer_list>
-#include <string_view>
 
 #include <fmt/format.h>
 #include <protozero/pbf_writer.hpp>

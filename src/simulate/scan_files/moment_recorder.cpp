@@ -5,9 +5,6 @@
 #include <algorithm>
 #include <cmath>
 
-#include <fmt/format.h>
-
-#include <relidar/base/error.hpp>
 #include <relidar/simulate/place_points.hpp>
 #include "placed_scan.hpp"
 #include "seen_actors.hpp"

@@ -5,13 +5,8 @@
 // LiDAR data expect: intensity, ring (uint16), time (float32, seconds).
 #include <relidar/simulate/point_files.hpp>
 
-#include <algorithm>
-#include <cctype>
-
 #include <fmt/format.h>
 #include <fmt/ranges.h>
-
-#include <relidar/base/error.hpp>
 
 #include "base/bytes.hpp"
 #include "base/codecs/file_io.hpp"

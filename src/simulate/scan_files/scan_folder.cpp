@@ -11,7 +11,6 @@
 #include <fmt/ranges.h>
 #include <nlohmann/json.hpp>
 
-#include <relidar/base/error.hpp>
 #include <relidar/base/files.hpp>
 #include <relidar/run/run.hpp>
 #include <relidar/simulate/actor_boxes.hpp>

@@ -3,9 +3,6 @@
 
 #include <utility>
 
-#include <fmt/format.h>
-
-#include <relidar/base/error.hpp>
 #include <relidar/simulate/render.hpp>
 #include "base/fail.hpp"
 #include "simulate/scan_files/recorded_moment.hpp"

@@ -13,7 +13,6 @@
 #include <fmt/format.h>
 #include <fmt/ranges.h>
 
-#include <relidar/base/error.hpp>
 #include <relidar/base/files.hpp>
 #include <relidar/simulate/render.hpp>
 #include "base/base64.hpp"

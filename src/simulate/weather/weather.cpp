@@ -12,8 +12,6 @@
 #include <fmt/format.h>
 #include <fmt/ranges.h>
 
-#include <relidar/base/error.hpp>
-
 #include "base/fail.hpp"
 #include "base/files.hpp"
 #include "base/list_text.hpp"

@@ -4,7 +4,6 @@
 // Uses the sensor of the log and a different sensor.
 #include <cmath>
 #include <cstring>
-#include <sstream>
 
 #include <gmock/gmock.h>
 

@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Tests scans for which the caller specifies the poses. The scene has walls and plates at
 // exact positions, and the sensor follows an exact path.
-#include <cmath>
 #include <limits>
 
 #include <relidar/base/error.hpp>

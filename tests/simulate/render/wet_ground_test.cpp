@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Tests wet roads: level ground of constant brightness and a wall whose mirror image has
 // an exact position.
-#include <algorithm>
 #include <cmath>
 
 #include <gtest/gtest.h>

@@ -3,7 +3,6 @@
 // network that predicts a return for every ray.
 #include <cmath>
 #include <cstring>
-#include <map>
 #include <optional>
 
 #include <gmock/gmock.h>

@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Tests sunlight and stray light along single rays. Compares them with closed forms and
 // the statistics of their models.
-#include <algorithm>
 #include <cmath>
 #include <vector>
 

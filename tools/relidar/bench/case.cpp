@@ -3,7 +3,6 @@
 
 #include <fmt/format.h>
 
-#include <relidar/base/error.hpp>
 #include <relidar/run/stage_options.hpp>
 #include <relidar/simulate/render.hpp>
 

@@ -12,7 +12,6 @@
 #include <CLI/CLI.hpp>
 #include <nlohmann/json.hpp>
 
-#include <relidar/base/error.hpp>
 #include <relidar/base/files.hpp>
 #include <relidar/gpu/trust.hpp>
 #include "base/fail.hpp"

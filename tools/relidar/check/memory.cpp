@@ -3,7 +3,6 @@
 // free GPU memory, so that other programs can still allocate memory. On a CPU device,
 // they use at most an eighth, because the host needs the memory.
 #include <algorithm>
-#include <cstring>
 #include <memory>
 #include <vector>
 

@@ -7,7 +7,6 @@
 #include <fmt/format.h>
 #include <CLI/CLI.hpp>
 
-#include <relidar/base/error.hpp>
 #include "base/fail.hpp"
 #include "command.hpp"
 #include "console.hpp"

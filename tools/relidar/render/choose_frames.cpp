@@ -5,8 +5,6 @@
 
 #include <fmt/format.h>
 
-#include <relidar/base/error.hpp>
-
 #include "base/fail.hpp"
 #include "console.hpp"
 #include "options.hpp"

@@ -3,10 +3,8 @@
 
 #include <algorithm>
 
-#include <fmt/format.h>
 #include <CLI/CLI.hpp>
 
-#include <relidar/base/error.hpp>
 #include <relidar/simulate/scan_files.hpp>
 
 #include "base/fail.hpp"

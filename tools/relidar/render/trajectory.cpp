@@ -6,7 +6,6 @@
 
 #include <fmt/format.h>
 
-#include <relidar/base/error.hpp>
 #include <relidar/run/run.hpp>
 #include "base/fail.hpp"
 #include "console.hpp"

@@ -9,7 +9,6 @@
 #include <fmt/format.h>
 #include <CLI/CLI.hpp>
 
-#include <relidar/base/error.hpp>
 #include <relidar/run/stage_options.hpp>
 #include "../../network/descriptors.hpp"
 #include "../../network/host_port.hpp"
