@@ -26,8 +26,7 @@ source "$tests/checks.sh"
 settings=(--preset quick --set train.iterations=6 --set train.log_every=1 --set train.deterministic=true
     --set refine.enabled=false --set dataset.test_every=6 --set train.checkpoint_minutes=1e-9 --set init.voxel_m=0.3)
 
-# same RUN: checks that surfels, poses and learnt values of RUN equal those of `one` bit
-# by bit.
+# same RUN: RUN must equal `one` bit by bit.
 same() {
     local file
     for file in model.safetensors scene.json coverage.safetensors intensity_scatter.safetensors blocks/000/model.safetensors blocks/001/model.safetensors blocks/002/model.safetensors; do
@@ -73,8 +72,7 @@ whole() {
     bad 2 "contains.*run" train street --out one --blocks 30m
 }
 
-# Training is interrupted in the second block and killed in the third block. Each time it
-# must continue at this step.
+# Interrupted in the second block and killed in the third.
 stopped() {
     "$relidar" train street --out stopped --blocks 30m "${settings[@]}" --set train.iterations=100000 --quiet 2>err &
     local pid=$!
@@ -117,9 +115,7 @@ stopped() {
 
 losing=(env VK_INSTANCE_LAYERS=VK_LAYER_RELIDAR_device_loss "VK_ADD_LAYER_PATH=$layers")
 
-# Tests a device that is lost when a block starts, and between two iterations. The error
-# message must have a single line, and finished blocks must remain. If nothing is saved, no
-# folder may remain.
+# At the start of a block, and between two iterations. Finished blocks must remain.
 lost_device() {
     local after resume
     for after in 10 220; do
@@ -190,9 +186,7 @@ ranks() {
     same lost
 }
 
-# Tests processes that cannot work together, and a process that fails. mpirun must end
-# with the exit code of the failed process. The remaining processes must leave a state
-# from which training can resume.
+# mpirun must end with the exit code of the failed process, and --resume must continue.
 misfits() {
     cp "$relidar" other && printf x >>other
     mpi_pair "$relidar" train street --out misfit --blocks 30m "${settings[@]}" -- ./other train street --out misfit --blocks 30m "${settings[@]}" >out 2>err
@@ -210,8 +204,7 @@ misfits() {
 
     # returns if this user may not mount
     mkdir -p full && mount -t tmpfs -o size=2500k tmpfs full 2>/dev/null || return 0
-    # Disables checkpoints, because a partial checkpoint would use the space of the first
-    # model.
+    # A partial checkpoint would use the space of the first model.
     mpi 2 "$relidar" train street --out full/run --blocks 30m "${settings[@]}" --set train.checkpoint_minutes=10 --quiet >out 2>err
     check "a full folder: exit code $?, expected 3" test $? = 3
     check "the message lacks the block" grep -Eq "^relidar: block . of 3: .*: No space left on device; .*relidar train --resume full/run" err
@@ -228,8 +221,7 @@ misfits() {
 # Prints the scores of frames in metrics.json without times.
 scores() { sed '/"timings"/,$d' "$1" | grep -v '"trace_ms"'; }
 
-# Processes that share frames must write the same files and compute the same scores as a
-# single process.
+# Processes that share frames must write the same files and scores as one process.
 frames() {
     printf '{"sensors": [{"name": "left", "sensor": "VLP-16", "translation_m": [0, 1, 0]}, {"name": "right", "sensor": "VLP-16", "translation_m": [0, -1, 0]}]}' >rig.json
     local how

@@ -16,8 +16,7 @@ good() {
     check "relidar $*: exit code $code, expected 0" test "$code" = 0
 }
 
-# bad CODE PATTERN ARGS...: runs the command. It must fail with this code and print a
-# single matching line on stderr.
+# bad CODE PATTERN ARGS...: the command must fail with a single matching line on stderr.
 bad() {
     local code=$1 pattern=$2
     shift 2

@@ -92,8 +92,7 @@ wrong_usage() {
     absent x
 }
 
-# Errors of the operating system must be reported as such, not as errors of relidar. Root
-# has all permissions, so the commands run as "nobody".
+# The commands run as "nobody", because root has all permissions.
 bad_paths() {
     local own=$relidar
     mkdir locked && cp -r street unreadable && ln -s loop loop && printf 'elevation_deg\n0\n' >beams.csv
@@ -208,8 +207,7 @@ training() {
     says '"surfels": [1-9]'
 }
 
-# Reads the files with other programs, if they are installed: numpy (python3-numpy) and
-# OpenEXR's tool (openexr).
+# Uses numpy and OpenEXR's tool, if they are installed.
 foreign_readers() {
     local python
     for python in python3 /usr/bin/python3 none; do "$python" -c 'import numpy' 2>/dev/null && break; done
@@ -359,8 +357,7 @@ rendering() {
 # Prints the largest range of the points in a KITTI .bin file, in metres.
 farthest() { od -An -v -t f4 -w16 "$1" | awk '{ r = $1 * $1 + $2 * $2 + $3 * $3; if (r > most) most = r } END { print sqrt(most) }'; }
 
-# Tests dataset.max_range_m and min_range_m, both for the rendered sensor and for the log
-# that is read.
+# For the rendered sensor, and for the log that is read.
 range_limits() {
     good render run --out far --frames 5:6 --format bin
     check "the street has nothing beyond 20 m" awk "BEGIN { exit !($(farthest far/frame_000005.bin) > 20) }"
@@ -378,8 +375,6 @@ points_of() { grep -am1 "^POINTS" "$1" | cut -d" " -f2; }
 # Prints the largest difference between the numbers of two .bin scans.
 difference() { paste <(od -An -v -t f4 -w4 "$1") <(od -An -v -t f4 -w4 "$2") | awk 'NF != 2 { most = 1e9 } { d = $1 - $2; if (d < 0) d = -d; if (d > most) most = d } END { print most + 0 }'; }
 
-# Tests the network that corrects ray-drop. A run must contain the network. The network
-# must be used if it fits the sensor, and --no-refine must turn it off.
 ray_drop() {
     good info run
     says "^ray drop +corrected .* [0-9]+ .*type native$"
@@ -413,8 +408,7 @@ ray_drop() {
     absent x
 }
 
-# The exported path of the log's sensor must give the scans of the log. Invalid paths and
-# times must be rejected.
+# The exported path of the log's sensor must give the scans of the log.
 own_paths() {
     good export run --out way.csv
     says "12 poses"
@@ -590,8 +584,7 @@ lost_scans() {
     rm -r adrift sparse
 }
 
-# The weights of LPIPS must be read before files are created and before training. With
-# --no-eval, training needs no weights.
+# The weights must be read before files are created. --no-eval needs no weights.
 wrong_weights() {
     RELIDAR_LPIPS_WEIGHTS=missing.safetensors bad 3 "missing.safetensors" train street --out unweighted
     absent unweighted
@@ -692,8 +685,7 @@ damaged_runs() {
     absent x
 }
 
-# Tests the output of the viewer, rejected arguments, and the exit after Ctrl-C.
-# tests/view tests its server and page.
+# tests/view tests the server and the page.
 viewing() {
     good view --help
     if ! grep -q -- "--port" out; then
@@ -718,8 +710,7 @@ viewing() {
     ends 0 "a viewer that Ctrl-C has ended"
 }
 
-# whole_or_none: kills an edit, and runs an edit on a full disk. Afterwards, a complete
-# run of this name must exist, or no run.
+# Kills an edit, and fills the disk: a complete run of this name must exist, or none.
 whole_or_none() {
     local begin=${EPOCHREALTIME/./} share pid
     good edit run --out killed --remove 0 --quiet
@@ -749,8 +740,7 @@ whole_or_none() {
     rm -rf killed
 }
 
-# Tests Ctrl-C during the initialisation of the scene. Only the settings and an empty log
-# must stay, and --resume must start from them.
+# Ctrl-C during the initialisation: only the settings and an empty log must stay.
 early_interruption() {
     "$relidar" train street --out early --preset quick --set train.refine_poses=none --set train.iterations=2 --set refine.enabled=false >out 2>err &
     local pid=$!
@@ -764,8 +754,6 @@ early_interruption() {
     exists early/scene.json
 }
 
-# After Ctrl-C during training, the current scene must be saved and the exit code must be
-# 130.
 interruption() {
     "$relidar" train street --out stopped --preset quick --set train.refine_poses=none --set train.iterations=1000000 --set train.log_every=1 >out 2>err &
     local pid=$!
@@ -787,8 +775,7 @@ interruption() {
     stopped_at=$(sed -n 's/.*interrupted after iteration \([0-9]*\) .*/\1/p' err)
     good info stopped
     absent stopped/.lock
-    # simulates a process that holds the lock and is killed; the lock must disappear with
-    # the process
+    # a process that holds the lock and is killed
     flock --no-fork stopped/.lock sleep 600 &
     pid=$!
     while flock --nonblock stopped/.lock true; do sleep 0.05; done
@@ -799,8 +786,7 @@ interruption() {
     absent stopped/.lock
 }
 
-# The interrupted run must resume with its log, from the newest checkpoint that can be
-# read.
+# From the newest checkpoint that can be read.
 resuming() {
     [[ -n $stopped_at ]] || return 0   # a previous check has already reported this failure
     local total=$((stopped_at + 3))
@@ -828,8 +814,7 @@ resuming() {
     absent lost # A failed training must not block the corrected command.
 }
 
-# Tests Ctrl-C during the training of the network. A checkpoint must stay, and the resumed
-# training must give the same network.
+# Ctrl-C during the training of the network: the resumed training gives the same network.
 network_resuming() {
     local few=(--preset quick --set train.refine_poses=none --set init.actor_min_points=10 --set train.iterations=4 --set dataset.test_every=5 --set refine.network=small)
     local checkpoints=half/checkpoints/drop_network
@@ -860,8 +845,7 @@ network_resuming() {
     check "nobody says that there is nothing to resume" grep -q "^relidar: warning: other .*checkpoint" err
 }
 
-# stop_in_network ARGS...: runs a command that trains a network on $checkpoints. Ends it
-# by SIGTERM after it has written a checkpoint.
+# stop_in_network ARGS...: ends a training by SIGTERM after a file in $checkpoints exists.
 stop_in_network() {
     [[ $1 == train ]] || checkpoints=$2/checkpoints/drop_network
     "$relidar" "$@" >out 2>err &
@@ -875,8 +859,7 @@ stop_in_network() {
     check "interrupted $1 leaves no checkpoint of its network" compgen -G "$checkpoints/iteration_*.safetensors" >/dev/null
 }
 
-# Each forced fault must be detected by its check and by no different check. With the same
-# faults, the first use of the device must select different methods.
+# With the same faults, the first use of the device must select different methods.
 checking() {
     local faults wrong="compare-and-swap sums"
     "$relidar" list devices --json >devices.json
@@ -894,8 +877,6 @@ checking() {
     check "no line on the replaced ray queries" grep -q "search .*software" err
 }
 
-# Tests the short report. The expected numbers come from the definition of the street and
-# from `relidar list devices`.
 bench() {
     good check --speed --json numbers/bench.json
     says "^traversal +(software|ray_query)$"
@@ -908,8 +889,7 @@ bench() {
     check "bench reports a device that is not listed" grep -qxF "$(sed -n 's/^ "device": "\(.*\)",$/\1/p' numbers/bench.json)" names
     for row in '"format": "relidar check --speed"' '"surfels": 100000' '"rays": 65536' '"build_ms": [0-9.]*[1-9]' '"refit_ms": [0-9.]*[1-9]' \
         '"backward_ms": [0-9.]*[1-9]'; do check "bench.json lacks $row" grep -Eq "^ $row" numbers/bench.json; done
-    # A step with all rays takes longer than the search for hits in it. The rate of a pass
-    # is 65536 rays divided by its time.
+    # A step takes longer than its forward pass. Rates are 65536 rays divided by the time.
     check "bench.json: times or rates that contradict each other" awk -F '[:,]' '{gsub(/[" ]/, "", $1); v[$1] = $2}
         END {rate = 65.536 / v["forward_ms"]; exit !(v["iteration_ms"] > v["forward_ms"] / 2 && v["forward_mrays_per_s"] / rate > 0.999 && v["forward_mrays_per_s"] / rate < 1.001)}' numbers/bench.json
     good check --speed --run run --json run.json
@@ -964,8 +944,7 @@ if "$relidar" list devices >out 2>err; then
     bench
     checking
     demo
-    # The remaining functions repeat device calls of the commands above, so they need no
-    # validation layer.
+    # These repeat device calls of the commands above without the validation layer.
     export RELIDAR_VALIDATION=0
     early_interruption
     interruption

@@ -28,8 +28,7 @@ run() {
     printf '{"iteration": 2, "seconds": 12.5}\n' >"scored/$1/log.jsonl"
 }
 
-# Uses scores that are written by hand, so that the means can be computed by hand. Needs
-# no device.
+# Scores by hand, so that the means can be computed by hand.
 score_tables() {
     run a '[{}, {}]' native '"points/depth_medae_m": 0.25, "strict/drop_accuracy": 0.5, "own/metric": 7'
     run 'b|c' '[{}]' native '"points/depth_medae_m": 0.75, "strict/drop_accuracy": null'
@@ -59,8 +58,7 @@ score_tables() {
     has t.md '| scored/damaged | no scores | - | 0 | - | - |'
 }
 
-# Replaces srun, scontrol and relidar by programs that record their arguments and exit
-# with $CODE.
+# Programs that record their arguments and exit with $CODE.
 stand_ins() {
     mkdir bin
     printf '#!/bin/sh\nexec "$@"\n' >bin/srun
@@ -108,8 +106,7 @@ streets() {
 
 fleet_make() { make -f "$fleet/Makefile" RELIDAR="$relidar" TRAIN="$train" "$@" >../out 2>../err; }
 
-# make must train each log once, resume, and write the table. A damaged log must not stop
-# the other logs.
+# A damaged log must not stop the other logs.
 makefile() {
     cp -r streets make && cd make || exit 1
     fleet_make -n

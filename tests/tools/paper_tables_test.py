@@ -15,8 +15,7 @@ from pathlib import Path
 
 SOURCE, RELIDAR, WORK = (Path(word).resolve() for word in sys.argv[1:4])
 
-# Program that writes the scores of a part, fails, or is interrupted, depending on the
-# name of the part. It also records each call.
+# Writes scores, fails, or is interrupted, depending on the part; records each call.
 STAND_IN = """#!/usr/bin/env python3
 import json, os, sys
 from pathlib import Path

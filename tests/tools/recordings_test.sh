@@ -55,8 +55,7 @@ train() {
 run=run
 printf 'seed = 5\nn_frames = 12\nrows = 8\ncolumns = 96\n' >street/street.toml
 train street run
-# Paths: a lane change of 3.5 m in 1.2 s at 16 m/s, and a curve of 60 degrees per second
-# with poses 15 degrees apart.
+# A lane change of 3.5 m in 1.2 s, and a curve with poses 15 degrees apart.
 awk 'BEGIN { pi = 3.14159265358979; print "time_s,x,y,z,yaw_deg"; for (i = 0; i <= 24; ++i) { t = 0.05 * i; u = pi * t / 1.2
     printf "%.4f,%.6f,%.6f,1.73,%.6f\n", t, -8 + 16 * t, -1.75 * cos(u), atan2(1.75 * sin(u) * pi / 1.2, 16) * 180 / pi } }' >lane.csv
 awk 'BEGIN { pi = 3.14159265358979; print "time_s,x,y,z,yaw_deg"; for (i = 0; i <= 6; ++i) { t = 0.25 * i; a = pi / 3 * t
@@ -78,8 +77,7 @@ compare bend "$rig" --trajectory bend.csv --times 0.2:1:0.1 --sensor rig.json --
 compare rig_of_log "$rig" --frames 3:6 --sensor rig.json
 compare merged "$alone" --trajectory bend.csv --times 0.2:0.4:0.1 --sensor rig.json --merge --channels normal
 
-# Tests a log of several LiDARs. The LiDARs are mounted in base_link, and each topic
-# contains the name of its LiDAR.
+# LiDARs are mounted in base_link, and each topic contains the name of its LiDAR.
 mkdir two && printf 'seed = 5\nn_frames = 6\nrig = "../rig.json"\n' >two/street.toml
 train two run_of_two
 run=run_of_two
@@ -91,8 +89,7 @@ run=run
 compare rig_named "front=/sensing/front/points=front_link 2nd-rear=/sensing/_2nd_rear/points=2nd-rear_link" --frames 3:5 --sensor rig.json \
     -- --topic "/sensing/{name}/points" --frame-id "{name}_link"
 
-# A rig has a single recording for all its sensors, and a new rendering must replace the
-# recording.
+# A new rendering must replace the single recording of a rig.
 [[ "$(ls rig/sensor | tr '\n' ' ')" == "2nd-rear front rosbag.mcap scans.json scans.mcap " ]] || fail "a rig's folder holds $(ls rig/sensor | tr '\n' ' ')"
 "$relidar" render run --frames 3:4 --sensor rig.json --out rig/sensor --quiet 2>err && fail "a rig's recordings were overwritten unasked"
 grep -q "rig/sensor: .*contains" err || fail "another message than that of a folder that is taken: $(cat err)"

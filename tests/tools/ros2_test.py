@@ -72,8 +72,7 @@ ros2_lidar.main([address, "--sensor", "VLP-16", "--topic", "/front/points", "--f
 of_options = list(published)
 published.clear()
 
-# Sets parameters as the launch file does. The launch file and the node must have the same
-# parameters.
+# The launch file and the node must have the same parameters.
 record = lambda kind: lambda *arguments, **fields: (kind, arguments, fields)
 module("launch", LaunchDescription=list)
 module("launch.actions", DeclareLaunchArgument=record("argument"))
@@ -157,8 +156,7 @@ for k, (cloud, frame, entry) in enumerate(zip(clouds, frames, read)):
     scan = np.load(work / "read" / entry["scan"])
     hit = scan["range"] > 0
     found = (scan["origin"] + scan["range"][..., None] * scan["directions"])[hit]
-    # The reader converts a cloud to an image. If two points belong to one pixel, it keeps
-    # the nearer one.
+    # If two points belong to one pixel, the reader keeps the nearer one.
     check(f"cloud {k}: {len(found)} of {len(points)} points read", 0.95 * len(points) < len(found) <= len(points))
     apart = max(np.linalg.norm(points - point, axis=1).min() for point in found[::100])
     check(f"cloud {k}: points were read {apart} m off", apart < 1e-3)

@@ -135,8 +135,7 @@ for entry in map(decode, ways[1][1]):
     log.append((struct.unpack("<Q", entry.get(2, [bytes(8)])[0])[0], read_pose(entry[1][0])))
 check("times rise", all(a[0] < b[0] for a, b in zip(log, log[1:])))
 
-# Renders a frame of the log with a faster and turning sensor, and with its traffic.
-# relidar's own service provides the expected positions.
+# A frame of the log with a faster and turning sensor, and with its traffic.
 
 v1, own = render_service(address)
 middle = len(log) // 2
@@ -222,8 +221,7 @@ for what, lidar, sensor, objects, duration_s in cases:
     check(f"{what}: {len(points)} points, {len(first)} of relidar's own service", len(points) == len(first) > 1000)
     if len(points) == len(first):
         off = np.linalg.norm(points - undo(end, apply(start, first)), axis=1)
-        # tolerance for single precision in the dataset's world, and for a few rays that
-        # graze
+        # single precision in the world of the dataset, and a few rays that graze
         check(f"{what}: points are {off.max():.4f} m off", off.max() < 2e-3)
         wrong = np.median(np.linalg.norm(points - first, axis=1))
         check(f"{what}: the two frames differ by {wrong} m only: nothing is tested", wrong > 0.5)

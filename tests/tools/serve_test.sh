@@ -29,8 +29,7 @@ done
 [[ -n $python ]] || { echo "no Python with grpcio, protobuf and numpy"; exit 77; }
 
 before=()   # words that precede the command of a server
-# serve ARGS...: starts a server at a free port. Sets $server to its process and $address
-# to its address.
+# serve ARGS...: starts a server at a free port; sets $server and $address.
 serve() {
     "${before[@]}" "$relidar" serve "$@" --listen 127.0.0.1:0 >serve.out 2>serve.err &
     server=$!
@@ -79,8 +78,7 @@ bad 2 "at $address: .*process" serve run --listen "$address"
 grep -q "town at $address: 8 calls by 2 clients, 768 rays" bench.out || fail "bench --serve prints: $(cat bench.out)"
 relidar=$relidar_dev bad 3 "status 5: .*scene: found \"city\"" bench --serve "$address" --serve-scene city
 
-# Tests gRPC's standard services with raw messages: health of our services (1 = serving),
-# and the list of services by reflection.
+# Health of our services (1 = serving), and the list of services by reflection.
 "$python" - "$address" <<'PYTHON' || fail "health or reflection"
 import sys
 import grpc
@@ -94,8 +92,7 @@ channel.close()
 sys.exit(0 if health == b"\x08\x01" and ours in answer else 1)
 PYTHON
 
-# Sends poses from a client and reads the same poses from a file. Both scans must be equal
-# bit by bit.
+# Poses from a client and from a file must give the same scan, bit by bit.
 printf 'time_s,x,y,z,yaw_deg\n0.4,3.25,0.5,1.73,0\n0.6,5.5,0.25,1.73,0\n' >way.csv
 for sensor in "" VLP-16:90x10; do
     rm -rf scans
@@ -110,8 +107,7 @@ grep -q "stopped .* m behind the actor" loop.out || fail "closed_loop_client.py:
 stop
 ! "$relidar_dev" bench --serve "$address" --calls 1 >/dev/null 2>&1 || fail "it answers after Ctrl-C"
 
-# Adds the second car of the street as an asset with a name chosen by the client. After
-# the asset is removed, the name must be free.
+# After the asset is removed, its name must be free.
 bad 3 "nowhere: .*folder" serve run --assets nowhere
 bad 3 "street .*asset" serve run --assets street
 "$relidar" assets run --out assets --least 0 --quiet || fail "no assets to serve"
@@ -126,8 +122,7 @@ grep -q 'actors\[0\].asset: found "car-7", .*"car-' loop.out || fail "an unknown
 "$python" -B "$root/tests/tools/ros2_test.py" "$root" "$relidar" "$address" ros2 >ros2.out 2>&1 || fail "ros2_lidar.py: $(cat ros2.out)"
 stop
 
-# Tests the interface of a different renderer, with a client that implements only its wire
-# format.
+# The client implements only the wire format.
 bad 2 "api: found 'alpasim', .*sensorsim" serve run --api alpasim
 bad 2 "sensorsim-poses .*--api sensorsim" serve run --sensorsim-poses rotation-first
 bad 2 "sensorsim-poses: found 'xyz', .*rotation-first or translation-first" serve run --api sensorsim --sensorsim-poses xyz
@@ -152,8 +147,7 @@ if command -v openssl >/dev/null; then
     stop
 fi
 
-# Opens more silent connections than descriptors. When the connections are closed, the
-# server must serve again.
+# More silent connections than descriptors: afterwards, the server must serve again.
 before=(bash -c 'ulimit -n 128; exec "$@"' -)
 serve run
 before=()
@@ -172,8 +166,7 @@ PYTHON
 timeout 20 "$relidar_dev" bench --serve "$address" --calls 2 >bench.out 2>&1 || fail "it does not serve after silent connections: $(cat bench.out)"
 stop
 
-# Tests a lost device: clients must receive UNAVAILABLE, and the server must end with the
-# exit code for devices.
+# A lost device: clients receive UNAVAILABLE, and the server ends with its exit code.
 if [[ -n $layers ]]; then
     before=(env VK_INSTANCE_LAYERS=VK_LAYER_RELIDAR_device_loss "VK_ADD_LAYER_PATH=$layers" RELIDAR_LOSE_DEVICE_AFTER=60)
     serve run
