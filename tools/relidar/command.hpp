@@ -23,6 +23,9 @@ struct ParsedCommand {
 
 void add_commands(CLI::App& app, ParsedCommand& selected_command);
 
+void add_list_devices_command(CLI::App& list_command, ParsedCommand& selected_command);
+void add_list_sensors_command(CLI::App& list_command, ParsedCommand& selected_command);
+void add_list_settings_command(CLI::App& list_command, ParsedCommand& selected_command);
 void add_list_command(CLI::App& app, ParsedCommand& selected_command);
 void add_convert_command(CLI::App& app, ParsedCommand& selected_command);
 void add_info_command(CLI::App& app, ParsedCommand& selected_command);

@@ -131,19 +131,11 @@ void parse_and_apply_setting_texts(Config& config, const std::vector<std::string
 }
 
 std::vector<std::string> list_rendering_setting_names() {
-    return {"dataset.min_range_m",
-            "dataset.max_range_m",
-            "sensor.grid",
-            "sensor.grid_method",
-            "sensor.rolling_shutter",
-            "sensor.sub_rays",
-            "sensor.divergence_mrad",
-            "sensor.returns",
-            "sensor.return_separation_m",
-            "image.",
-            "refine.enabled",
-            "render.",
-            "trace."};
+    return split_text(
+        "dataset.min_range_m,dataset.max_range_m,sensor.grid,sensor.grid_method,sensor.rolling_shutter,"
+        "sensor.sub_rays,sensor.divergence_mrad,sensor.returns,sensor.return_separation_m,image.,"
+        "refine.enabled,render.,trace.",
+        ',');
 }
 
 void require_settings_used_by_command(const std::vector<std::string>& setting_texts,

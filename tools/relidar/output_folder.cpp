@@ -6,11 +6,11 @@
 #include <cerrno>
 #include <cstdlib>
 #include <fstream>
-#include <set>
 #include <string>
 #include <system_error>
 #include <thread>
 #include <utility>
+#include <vector>
 
 #include <fcntl.h>
 #include <sys/file.h>
@@ -25,6 +25,7 @@
 #include <relidar/simulate/scan_files.hpp>
 #include <relidar/train/train.hpp>
 #include "interrupt.hpp"
+#include "options.hpp"
 
 namespace relidar::cli {
 namespace {
@@ -208,23 +209,14 @@ RunOutputFolder::~RunOutputFolder() {
 namespace {
 
 bool contains_only_run_files(const fs::path& folder) {
-    static const std::set<std::string> kNames{"config.toml",
-                                              "scene.json",
-                                              "model.safetensors",
-                                              "drop_network.safetensors",
-                                              "blocks",
-                                              "checkpoints",
-                                              "log.jsonl",
-                                              "sweeps.safetensors",
-                                              "metrics.json",
-                                              "report.html",
-                                              "views.png",
-                                              "coverage.safetensors",
-                                              "classes.safetensors",
-                                              "asset.json",
-                                              "intensity_scatter.safetensors"};
+    static const std::vector<std::string> kNames = split_text(
+        "config.toml,scene.json,model.safetensors,drop_network.safetensors,blocks,checkpoints,log.jsonl,"
+        "sweeps.safetensors,metrics.json,report.html,views.png,coverage.safetensors,classes.safetensors,"
+        "asset.json,intensity_scatter.safetensors",
+        ',');
     for (const auto& entry : fs::directory_iterator(folder))
-        if (!is_lock_or_temporary_file(entry.path()) && !kNames.contains(entry.path().filename().string()))
+        if (!is_lock_or_temporary_file(entry.path()) &&
+            std::ranges::count(kNames, entry.path().filename().string()) == 0)
             return false;
     return true;
 }

@@ -96,12 +96,11 @@ std::vector<DeviceCheck> list_checks_of_device_and_trained_run(const std::string
     if (run_folder_or_empty.empty()) return checks;
     const auto bench =
         std::make_shared<const BenchCase>(make_benchmark_from_run(load_run(run_folder_or_empty)));
-    checks.push_back({"run, software", [bench](CheckedDevice& c) {
-                          return check_rendering_of_trained_run(c, RayTracingBackend::software, *bench);
-                      }});
-    checks.push_back({"run, ray query", [bench](CheckedDevice& c) {
-                          return check_rendering_of_trained_run(c, RayTracingBackend::ray_query, *bench);
-                      }});
+    for (const auto& [name, backend] : {std::pair("run, software", RayTracingBackend::software),
+                                        {"run, ray query", RayTracingBackend::ray_query}})
+        checks.push_back({name, [bench, backend = backend](CheckedDevice& c) {
+                              return check_rendering_of_trained_run(c, backend, *bench);
+                          }});
     return checks;
 }
 

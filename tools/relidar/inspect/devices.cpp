@@ -9,8 +9,8 @@
 #include <nlohmann/json.hpp>
 
 #include <relidar/gpu/device.hpp>
+#include "command.hpp"
 #include "console.hpp"
-#include "inspect/list.hpp"
 
 namespace relidar::cli {
 namespace {

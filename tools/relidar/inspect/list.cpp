@@ -4,7 +4,6 @@
 #include <CLI/CLI.hpp>
 
 #include "command.hpp"
-#include "inspect/list.hpp"
 
 namespace relidar::cli {
 

@@ -11,9 +11,9 @@
 #include <relidar/base/images.hpp>
 #include <relidar/log/sensor_files.hpp>
 #include "base/fail.hpp"
+#include "command.hpp"
 #include "console.hpp"
 #include "evaluate/pictures.hpp"
-#include "inspect/list.hpp"
 
 namespace relidar::cli {
 namespace {

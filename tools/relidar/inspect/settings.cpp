@@ -5,8 +5,8 @@
 
 #include <CLI/CLI.hpp>
 
+#include "command.hpp"
 #include "console.hpp"
-#include "inspect/list.hpp"
 #include "options.hpp"
 
 namespace relidar::cli {
