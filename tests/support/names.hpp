@@ -8,6 +8,12 @@
 
 #include <gmock/gmock.h>
 
+#include <relidar/log/sequence.hpp>
+
+namespace relidar {
+inline void PrintTo(const Note& note, std::ostream* out) { *out << note.text; }
+}  // namespace relidar
+
 namespace relidar::test {
 
 inline bool ends_with_decimals(std::string_view part) {
@@ -41,9 +47,17 @@ inline std::string find_missing_part(std::string_view message, std::string_view 
 /// Names("a.csv ... line 3 ... 40 m ... 30 m"). A part does not begin or end within a
 /// word or number of the message, but more decimals may follow: 1.1 matches 1.1000000237.
 MATCHER_P(Names, parts, "contains \"" + std::string(parts) + "\"") {
-    const std::string missing = find_missing_part(arg, parts);
+    const std::string& message = arg;  // a text, or a note of a log
+    const std::string missing = find_missing_part(message, parts);
     *result_listener << (missing.empty() ? "which has all parts" : "where \"" + missing + "\" is missing");
     return missing.empty();
+}
+
+/// Returns the texts of notes, one line each.
+inline std::string join_lines(const Notes& notes) {
+    std::string lines;
+    for (const Note& note : notes) lines += note.text + "\n";
+    return lines;
 }
 
 }  // namespace relidar::test

@@ -116,7 +116,10 @@ void bind_sequence_class(py::module_& module) {
             "__len__", [](const LoadedLog& log) { return log.sequence.frames.size(); }, "Number of frames.")
         .def_property_readonly("name", [](const LoadedLog& log) { return log.sequence.name; })
         .def_property_readonly(
-            "notes", [](const LoadedLog& log) { return log.sequence.notes; },
+            "notes",
+            [](const LoadedLog& log) {
+                return std::vector<std::string>(log.sequence.notes.begin(), log.sequence.notes.end());
+            },
             "Notes about missing data of the log, one line each.")
         .def_property_readonly(
             "config", [](const LoadedLog& log) { return log.config; },

@@ -6,6 +6,7 @@
 #include <cstdint>
 #include <optional>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include <relidar/base/math.hpp>
@@ -33,8 +34,7 @@ struct PoseTrack {
     /// @throws DataError if the track is empty
     Pose interpolate_pose(double t_s) const;
     /// Returns the pose at `t_s` of an object that is mounted on the object of this
-    /// track. `carrier_from_mounted` is the pose of the mounted object in the frame of
-    /// its carrier. Same as compute_mounted_track() followed by interpolate_pose().
+    /// track: compute_mounted_track() followed by interpolate_pose().
     Pose interpolate_mounted_pose(double t_s, const Pose& carrier_from_mounted) const;
     /// Returns the two track entries between which interpolate_pose() interpolates.
     /// @throws DataError if the track is empty
@@ -77,11 +77,9 @@ struct SweepStart {
     double time_s = 0.0;
 };
 
-/// Computes azimuth and time of a sweep's start from its rays. Returns nothing in three
-/// cases:
-/// - The start is the default: facing backward, half a period before time 0.
-/// - The LiDAR does not spin.
-/// - The times and azimuths of the rays are inconsistent.
+/// Computes azimuth and time of a sweep's start from its rays. Returns nothing if the
+/// start is the default (facing backward, half a period before time 0), if the LiDAR does
+/// not spin, or if the times and azimuths of the rays are inconsistent.
 std::optional<SweepStart> find_sweep_start(const RayTable& rays, const SpinningSensor& sensor);
 
 /// A sweep of one LiDAR of the log.
@@ -126,9 +124,7 @@ struct RangeNoiseTable {
     /// [ranges*cosines] standard deviations along the ray, a row for each range
     std::vector<double> sigma_m;
 
-    /// Returns the standard deviation of the range noise for a range and a cosine of
-    /// incidence. Uses the bin that contains both values, or the nearest bin. Returns 0
-    /// if the noise is unknown.
+    /// Uses the bin that contains both values, or the nearest bin. Returns 0 if unknown.
     double get_range_noise_sigma_m(double measured_range_m, double incidence_cosine) const;
 };
 
@@ -152,8 +148,8 @@ struct Lidar {
 
 /// Sets the nominal sensor of a LiDAR.
 void set_nominal_sensor(Lidar& lidar, const SensorModel& sensor);
-/// Returns the nominal (ideal) sensor of a LiDAR, from its beams or its scan pattern. The
-/// sensor has no beams if neither is known.
+/// Returns the nominal sensor, from its beams or its scan pattern. Without both, the
+/// sensor has no beams.
 SensorModel get_nominal_sensor(const Lidar& lidar);
 
 /// Returns the rays that a LiDAR nominally fires at a time. Returns no rays if neither
@@ -161,10 +157,8 @@ SensorModel get_nominal_sensor(const Lidar& lidar);
 RayTable make_nominal_rays(const Lidar& lidar, double time_s);
 
 /// Measures the difference between the actual and the nominal azimuth of a spinning head,
-/// at each firing of a sweep. Positive is to the left. The value is the median over all
-/// returned rays of the firing. All beams share this value, so it does not reveal which
-/// rays were dropped. Firings with less than three returns are interpolated from their
-/// neighbours.
+/// at each firing of a sweep. Positive is to the left. The value is the median over the
+/// returned rays of the firing; firings with less than three are interpolated.
 /// @param nominal_rays  make_nominal_rays() of the LiDAR
 /// @return [columns] radians, by firing (compute_beam_azimuth_offset_columns()). Empty if
 /// the rays are not in nominal order, if the beams do not rotate together, or without any
@@ -183,8 +177,7 @@ inline constexpr const char* kDiscoveredCategory = "Discovered";
 /// because labelled boxes do not fit exactly.
 inline constexpr double kMoverMargin_m = 0.2;
 
-/// A tracked box. Box frame: x along the length, y along the width, z up, origin at the
-/// centre.
+/// A tracked box. Box frame: x along the length, y along the width, z up, origin centred.
 struct BoxTrack {
     std::string id;          ///< unique in the sequence
     std::string category;    ///< class name in the dataset, or kDiscoveredCategory
@@ -194,8 +187,7 @@ struct BoxTrack {
     /// Kind of object, for example a car. Set if the box has no label and scans show only
     /// one side of the object, so that the box got the typical size of this kind.
     std::string size_guess = {};
-    /// Numbers of poses that discover_tracks() added before the first and after the last
-    /// label of the box.
+    /// Numbers of poses that discover_tracks() added before and after the labels.
     std::size_t n_before = 0, n_after = 0;
 
     /// Returns true if the object moves, as far as its labels and poses can show this.
@@ -230,13 +222,29 @@ struct IntensityResponse {
 
     double compute_intensity_factor_at_range(
         double distance_m) const;  ///< uses the first or last factor outside the knots
-    /// Returns the intensity factor for a cosine of the angle between ray and normal.
     double compute_intensity_factor_at_incidence(double incidence_cosine) const {
         return 1.0 - incidence * (1.0 - incidence_cosine);
     }
 };
 
-/// A LiDAR log. Its world origin is the position of the vehicle in the middle frame.
+/// A message for users about data that a log lacks or that are probably wrong.
+struct Note {
+    /// Check that found the fault. Loading a log repeats it, so save_folder() leaves out
+    /// notes with an id. Empty for messages of a reader.
+    std::string id;
+    int lidar = -1;    ///< index into LidarSequence::lidars; -1: not about a single LiDAR
+    std::string text;  ///< one line
+
+    Note(std::string note_text) : text(std::move(note_text)) {}
+    Note(const char* note_text) : text(note_text) {}
+    Note(std::string note_id, int lidar_index, std::string note_text)
+        : id(std::move(note_id)), lidar(lidar_index), text(std::move(note_text)) {}
+    operator const std::string&() const { return text; }
+    bool operator==(const Note&) const = default;
+};
+using Notes = std::vector<Note>;
+
+/// A LiDAR log. Its world origin is the vehicle in the middle frame.
 struct LidarSequence {
     std::string name;
     std::string source;                                 ///< path of the log
@@ -244,32 +252,27 @@ struct LidarSequence {
     std::vector<LidarFrame> frames;                     ///< frames of all LiDARs, ascending in time
     PoseTrack world_from_vehicle;                       ///< an entry for each time that has frames
     std::vector<BoxTrack> boxes;
-    /// Offset from relidar's world to the dataset's world. Add this vector to coordinates
-    /// in relidar's world frame to get coordinates in the dataset's world frame.
+    /// Add this vector to coordinates in relidar's world frame to get coordinates in the
+    /// dataset's world frame.
     glm::dvec3 world_offset_m{0.0};
-    /// Model of how the intensity depends on range and incidence, for all LiDARs. If it
-    /// was not estimated, the intensity does not depend on range and incidence.
-    IntensityResponse intensity_response;
-    std::string conventions;         ///< a single line for users: frames, units, time reference
-    std::vector<std::string> notes;  ///< Messages about data that the log lacks, one line each
+    IntensityResponse intensity_response;  ///< of all LiDARs
+    std::string conventions;               ///< a single line for users: frames, units, time reference
+    Notes notes;
     /// Indices of the test frames in published results on this part of the dataset.
     std::vector<int> test_frames = {};
     /// False: the log has no poses. Before registration, all poses are the identity.
     bool has_poses = true;
-    /// True: the rays of a scan were fired at different times, and the scans are not
-    /// motion-compensated.
+    /// True: rays were fired at different times, and scans are not motion-compensated.
     bool rolling_shutter = true;
 
     const Lidar& get_lidar(const LidarFrame& frame) const { return lidars[std::size_t(frame.lidar)]; }
     /// Returns the index of the vehicle pose that has the time of a frame.
     /// @throws DataError if there is no such pose
     std::size_t get_vehicle_pose_index_of_frame(const LidarFrame& frame) const;
-    /// Returns the poses of a LiDAR at the times of the vehicle's poses. Each pose is the
-    /// pose of the vehicle combined with the mounting of the LiDAR.
+    /// Returns the poses of a LiDAR at the times of the vehicle's poses.
     PoseTrack get_world_from_sensor(int lidar_index) const;
     std::size_t count_beams_of_all_lidars() const;
-    /// Returns the number of a beam among the beams of all LiDARs, in the order of
-    /// `lidars`. Returns nothing if the LiDAR does not have the beam.
+    /// Returns the number of a beam among the beams of all LiDARs, if the beam exists.
     std::optional<std::uint16_t> find_global_beam_number(int lidar_index, std::uint16_t channel) const;
 };
 
@@ -325,11 +328,9 @@ double compute_time_when_lidar_faces_point_s(const LidarSequence& sequence, cons
 /// Range and intensity of the surface that a ray hit. The intensity is not corrected for
 /// the angle of incidence.
 struct SurfaceReturn {
-    /// Range without the range offset of the beam. 0 if the ray was dropped.
-    float range_m;
+    float range_m;    ///< without the range offset of the beam; 0 if the ray was dropped
     float intensity;  ///< intensity that the mean beam would measure at a distance of 10 m
 };
-/// Returns the range and intensity of the surface that a ray hit.
 /// @param ray  index of a ray of the frame
 /// @param return_index  0 for the strongest return, n for Scan::second_returns[n-1]
 SurfaceReturn compute_surface_return(const LidarSequence& sequence, const LidarFrame& frame, std::size_t ray,
@@ -343,7 +344,6 @@ struct WorldReturn {
     double time_s;
     float intensity;  ///< intensity that the mean beam would measure at 10 m
 };
-/// Returns the end point of a ray in the world frame.
 /// @param ray  index of a returned ray of the frame
 /// @param return_index  number of an existing return of this ray
 WorldReturn compute_world_return(const LidarSequence& sequence, const LidarFrame& frame, std::size_t ray,

@@ -235,9 +235,6 @@ struct FrameGap {
 
 void add_notes_about_time_gaps(LidarSequence& sequence) {
     constexpr double kGap_s = 1.0, kJump_s = 60.0, kUsualSteps = 10.0;
-    constexpr const char* kFirstWords = "the sequence of frame times has ";
-    // A converted log contains the note of the original log.
-    std::erase_if(sequence.notes, [](const std::string& note) { return note.starts_with(kFirstWords); });
     std::vector<FrameGap> steps;
     for (std::size_t i = 1; i < sequence.frames.size(); ++i)
         if (const FrameGap step{&sequence.frames[i - 1], &sequence.frames[i]}; step.get_duration_s() > 0.0)
@@ -259,11 +256,12 @@ void add_notes_about_time_gaps(LidarSequence& sequence) {
                 fmt::format("a step of at most {} s (the median step is {:.3g} s); use --frames to select "
                             "frames before or after the gap",
                             kJump_s, usual_s));
-    sequence.notes.push_back(kFirstWords +
-                             fmt::format("{} gap{}; the longest is {:.1f} s, between frames {} and {} (the "
-                                         "median step is {:.3g} s); poses in gaps are interpolated",
-                                         steps.size(), steps.size() > 1 ? "s" : "", longest.get_duration_s(),
-                                         before, after, usual_s));
+    sequence.notes.push_back(Note("time_gaps", -1,
+                                  fmt::format("the sequence of frame times has {} gap{}; the longest is "
+                                              "{:.1f} s, between frames {} and {} (the "
+                                              "median step is {:.3g} s); poses in gaps are interpolated",
+                                              steps.size(), steps.size() > 1 ? "s" : "",
+                                              longest.get_duration_s(), before, after, usual_s)));
 }
 
 void require_valid_sequence(const LidarSequence& sequence) {

@@ -172,6 +172,7 @@ PointCloudUnits estimate_time_and_intensity_units(const std::vector<folder::Poin
     set_point_time_unit_from_ranges(units, list_point_time_ranges(continuous_clouds, cloud_stamps_s),
                                     list_point_time_ranges(signed_clouds, cloud_stamps_s), cloud_interval_s);
     units.meaning = folder::interpret_point_fields(continuous_clouds);
+    if (!units.meaning.scale.about.empty()) units.meaning.notes.push_back(units.meaning.scale.about);
     return units;
 }
 

@@ -325,7 +325,7 @@ SequenceHeader read_log_description(const fs::path& log_folder, double default_m
     head.name = read_text_or(root, "name", log_folder.filename().string());
     head.conventions =
         read_text_or(root, "conventions", "Sensor frame: x forward, y left, z up, in metres.", kLongestText);
-    head.notes = read_optional_text_list(root, "notes");
+    std::ranges::copy(read_optional_text_list(root, "notes"), std::back_inserter(head.notes));
     head.lidars = read_lidars(root, file, log_folder, default_max_range_m);
     if (root.has_member("frames") == root.has_member("rate_hz"))
         root.throw_field_error(root.has_member("frames") ? "found both \"frames\" and \"rate_hz\""

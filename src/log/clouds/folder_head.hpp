@@ -70,7 +70,7 @@ struct SequenceHeaderFrame {
 
 struct SequenceHeader {
     std::string name, conventions;
-    std::vector<std::string> notes;
+    Notes notes;
     std::vector<SequenceHeaderLidar> lidars;
     std::vector<SequenceHeaderFrame> frames;  ///< all frames of the log, sorted by time and LiDAR
     bool motion_compensated = false;
@@ -97,7 +97,7 @@ SequenceHeader read_log_description(const std::filesystem::path& log_folder, dou
 std::optional<std::vector<Pose>> read_frame_poses(const std::filesystem::path& pose_file,
                                                   const std::vector<SequenceHeaderFrame>& frames,
                                                   const OverlapScanPairReader& read_scan_pairs_for_pose_check,
-                                                  std::vector<std::string>& notes);
+                                                  Notes& notes);
 
 /// Reads labelled boxes from boxes.json. Returns no boxes if the file does not exist.
 /// Ignores labels outside the time of the loaded frames.

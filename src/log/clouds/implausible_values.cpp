@@ -47,8 +47,6 @@ constexpr double kUsualSweep_s = 0.1;     // if the duration of a sweep is unkno
 constexpr double kLeastStep_m = 0.01, kSameStep = 1e-4;
 constexpr std::size_t kFewestCoordinates = 5;
 
-// First words of the notes. A converted log contains the notes of the original log, which
-// are replaced.
 constexpr const char* kSpeedNote = "the poses or their times are probably wrong: ";
 constexpr const char* kReturnsNote = "some scans are probably incomplete: ";
 constexpr const char* kScaleNote = "the scale of the intensities is probably wrong: ";
@@ -83,12 +81,14 @@ void add_note_if_vehicle_is_too_fast(LidarSequence& sequence) {
     }
     if (n_too_fast == 0) return;
     sequence.notes.push_back(
-        kSpeedNote +
-        fmt::format("the vehicle moves faster than {} m/s in {} of {} steps between frames, and at {:.0f} "
-                    "m/s from frame {} to frame {}; expected positions in metres and times in seconds",
-                    kFastest_mps, n_too_fast, track.pose.size() - 1, fastest_mps,
-                    find_frame_number_at(sequence, track.time_s[fastest_step - 1]),
-                    find_frame_number_at(sequence, track.time_s[fastest_step])));
+        Note("speed", -1,
+             kSpeedNote +
+                 fmt::format(
+                     "the vehicle moves faster than {} m/s in {} of {} steps between frames, and at {:.0f} "
+                     "m/s from frame {} to frame {}; expected positions in metres and times in seconds",
+                     kFastest_mps, n_too_fast, track.pose.size() - 1, fastest_mps,
+                     find_frame_number_at(sequence, track.time_s[fastest_step - 1]),
+                     find_frame_number_at(sequence, track.time_s[fastest_step]))));
 }
 
 /// Returns the duration of a sweep. Without a known period, returns the time between the
@@ -115,10 +115,11 @@ void add_time_unit_note(LidarSequence& sequence) {
         if (n_sweeps < kLeastSweeps ||
             n_sweeps > (per_second > 1000.0 ? kMostSweepsOfLongSteps : kMostSweeps))
             continue;
-        sequence.notes.push_back(kUnitNote +
-                                 fmt::format("frames are {:.6g} s apart, but a sweep takes {:.3g} s; the "
-                                             "times of frames seem to be in {}, expected seconds",
-                                             step_s, sweep_s, unit));
+        sequence.notes.push_back(
+            Note("time_unit", -1,
+                 kUnitNote + fmt::format("frames are {:.6g} s apart, but a sweep takes {:.3g} s; the "
+                                         "times of frames seem to be in {}, expected seconds",
+                                         step_s, sweep_s, unit)));
         return;
     }
 }
@@ -136,10 +137,11 @@ void add_overlap_note(LidarSequence& sequence, std::size_t lidar) {
     if (times_s.size() < 2) return;
     const double step_s = compute_median_interval_s(times_s);
     if (step_s >= kLeastStepSweeps * sweep_s) return;
-    sequence.notes.push_back(kUnitNote +
-                             fmt::format("scans{} are {:.3g} s apart, but the rays of a scan take {:.3g} s; "
-                                         "expected times of frames in seconds, or the rate of the scans",
-                                         format_of_lidar(sequence.lidars[lidar]), step_s, sweep_s));
+    sequence.notes.push_back(
+        Note("time_unit", -1,
+             kUnitNote + fmt::format("scans{} are {:.3g} s apart, but the rays of a scan take {:.3g} s; "
+                                     "expected times of frames in seconds, or the rate of the scans",
+                                     format_of_lidar(sequence.lidars[lidar]), step_s, sweep_s)));
 }
 
 void add_rounding_note(LidarSequence& sequence) {
@@ -156,10 +158,11 @@ void add_rounding_note(LidarSequence& sequence) {
             different_m.insert(std::round(n_steps) * step_m);
         }
         if (!is_rounded || different_m.size() < kFewestCoordinates) continue;
-        sequence.notes.push_back(kFloatNote +
-                                 fmt::format("all {} coordinates are multiples of {:.3g} m, which is the "
-                                             "precision of float32 at {:.0f} m; expected double precision",
-                                             axis == 0 ? "x" : "y", step_m, *different_m.rbegin()));
+        sequence.notes.push_back(
+            Note("float_positions", -1,
+                 kFloatNote + fmt::format("all {} coordinates are multiples of {:.3g} m, which is the "
+                                          "precision of float32 at {:.0f} m; expected double precision",
+                                          axis == 0 ? "x" : "y", step_m, *different_m.rbegin())));
         return;
     }
 }
@@ -219,11 +222,12 @@ void add_note_about_scans_with_few_returns(LidarSequence& sequence,
         usual_of_worst = usual;
     }
     if (n_small == 0) return;
-    sequence.notes.push_back(
+    sequence.notes.push_back(Note(
+        "few_returns", -1,
         kReturnsNote + fmt::format("{} of {} scans{} have fewer than half of the returns of neighbouring "
                                    "scans; frame {} has only {} instead of about {}",
                                    n_small, n_returns.size(), format_of_lidar(sequence.lidars[lidar_index]),
-                                   frame_numbers[worst], n_returns[worst], usual_of_worst));
+                                   frame_numbers[worst], n_returns[worst], usual_of_worst)));
 }
 
 /// Returns a note if the intensities probably have a wrong scale. Otherwise returns an
@@ -250,16 +254,17 @@ void add_notes_about_intensities(LidarSequence& sequence, const std::vector<Retu
     }
     if (of_log.n_returns > 0 && of_log.lowest == of_log.highest) {
         const bool is_zero = of_log.highest == 0.0f;
-        sequence.notes.push_back(
+        sequence.notes.push_back(Note(
+            "equal_intensities", -1,
             kEqualNote + fmt::format("{}, so rendered intensities have no meaning{}",
                                      is_zero ? "0" : fmt::format("{:.4g} of the maximum", of_log.highest),
-                                     is_zero ? " and are not scored" : ""));
+                                     is_zero ? " and are not scored" : "")));
         return;
     }
     for (std::size_t l = 0; l < by_lidar.size(); ++l)
         if (const std::string note = describe_implausible_scale(by_lidar[l], sequence.lidars[l]);
             !note.empty())
-            sequence.notes.push_back(note);
+            sequence.notes.push_back(Note("intensity_scale", int(l), note));
 }
 
 /// Adds a note if the times of the rays show that the head of a spinning LiDAR turns
@@ -289,12 +294,13 @@ void add_note_about_rotation(LidarSequence& sequence, std::size_t lidar_index) {
     }
     if (n_scans == 0 || fit[1] < kLeastFit * n_scans || fit[0] > kLargestMisfit * n_scans) return;
     const char *clockwise = "clockwise", *counterclockwise = "counterclockwise";
-    sequence.notes.push_back(kRotationNote +
-                             fmt::format("by the times of the points, the head{} turns {}, but its sensor "
+    sequence.notes.push_back(
+        Note("rotation", -1,
+             kRotationNote + fmt::format("by the times of the points, the head{} turns {}, but its sensor "
                                          "turns {}; check the sign of the times and of y",
                                          format_of_lidar(lidar),
                                          lidar.sensor.clockwise ? counterclockwise : clockwise,
-                                         lidar.sensor.clockwise ? clockwise : counterclockwise));
+                                         lidar.sensor.clockwise ? clockwise : counterclockwise)));
 }
 
 void add_notes_about_boxes(LidarSequence& sequence) {
@@ -311,25 +317,22 @@ void add_notes_about_boxes(LidarSequence& sequence) {
             largest = &box;
     }
     if (n_far_in_time > 0)
-        sequence.notes.push_back(kBoxNote +
-                                 fmt::format("the times of {} of {} boxes are more than an hour before or "
-                                             "after the log; expected seconds on the clock of the scans",
-                                             n_far_in_time, sequence.boxes.size()));
+        sequence.notes.push_back(
+            Note("boxes", -1,
+                 kBoxNote + fmt::format("the times of {} of {} boxes are more than an hour before or "
+                                        "after the log; expected seconds on the clock of the scans",
+                                        n_far_in_time, sequence.boxes.size())));
     if (largest)
-        sequence.notes.push_back(kBoxNote + fmt::format("the box '{}' is {:.0f} m long; expected metres",
-                                                        largest->id, get_length_m(*largest)));
+        sequence.notes.push_back(Note("boxes", -1,
+                                      kBoxNote + fmt::format("the box '{}' is {:.0f} m long; expected metres",
+                                                             largest->id, get_length_m(*largest))));
     if (const std::string fault = describe_box_fault(sequence); !fault.empty())
-        sequence.notes.push_back(kBoxNote + fault);
+        sequence.notes.push_back(Note("boxes", -1, kBoxNote + fault));
 }
 
 }  // namespace
 
 void add_notes_about_implausible_values(LidarSequence& sequence) {
-    std::erase_if(sequence.notes, [](const std::string& note) {
-        return std::ranges::any_of(std::array{kSpeedNote, kReturnsNote, kScaleNote, kEqualNote, kBoxNote,
-                                              kUnitNote, kFloatNote, kRotationNote},
-                                   [&](const char* words) { return note.starts_with(words); });
-    });
     add_time_unit_note(sequence);
     if (sequence.has_poses) {
         add_note_if_vehicle_is_too_fast(sequence);

@@ -15,7 +15,6 @@ namespace relidar::folder {
 /// - The positions of the vehicle were stored in single precision.
 /// - Boxes are longer than any vehicle, their times are far from the log, or they follow
 ///   another convention.
-/// Replaces such notes, which a converted log contains.
 void add_notes_about_implausible_values(LidarSequence& sequence);
 
 }  // namespace relidar::folder

@@ -94,12 +94,11 @@ std::vector<Pose> read_pose_matrices(const std::filesystem::path& pose_file,
 /// @param frame_times_s  [frames] times of the frames
 std::vector<Pose> read_user_pose_file(const std::filesystem::path& pose_file,
                                       const std::vector<int>& frame_numbers,
-                                      const std::vector<double>& frame_times_s,
-                                      std::vector<std::string>& notes);
+                                      const std::vector<double>& frame_times_s, Notes& notes);
 
 /// Note for the user if the setting dataset.poses=none was used.
-inline constexpr const char* kNoPosesNote =
-    "poses are not read (dataset.poses=none); they must be estimated from the scans";
+inline const Note kNoPosesNote{
+    "no_poses", -1, "poses are not read (dataset.poses=none); they must be estimated from the scans"};
 
 /// Replaces the vehicle poses of a log by the poses in a file of the user. The boxes move
 /// with the vehicle. Does nothing if no file is given.

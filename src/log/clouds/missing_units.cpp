@@ -59,8 +59,7 @@ std::vector<PointTable> read_sample_images(const std::vector<fs::path>& scan_fil
 }
 
 /// Ignores the times of the points, with a note, if they have lost their precision.
-void ignore_coarse_times(SequenceHeader& head, const std::vector<PointTable>& samples,
-                         std::vector<std::string>& notes) {
+void ignore_coarse_times(SequenceHeader& head, const std::vector<PointTable>& samples, Notes& notes) {
     constexpr double kSweep_s = 0.1;
     for (const PointTable& cloud : samples) {
         const auto range = find_time_range(cloud);
@@ -76,7 +75,7 @@ void ignore_coarse_times(SequenceHeader& head, const std::vector<PointTable>& sa
 }  // namespace
 
 void estimate_missing_point_units(SequenceHeader& sequence_header, const std::vector<fs::path>& scan_files,
-                                  std::vector<std::string>& notes) {
+                                  Notes& notes) {
     std::vector<PointTable> samples = read_sample_tables(scan_files, sequence_header.units.columns);
     for (PointTable& cloud : samples) unwrap_point_times(cloud, !sequence_header.units.absolute_times);
     PointFieldSemantics meaning = interpret_point_fields(samples);
@@ -93,7 +92,6 @@ void estimate_missing_point_units(SequenceHeader& sequence_header, const std::ve
     sequence_header.units.intensity_field = meaning.intensity_field;
     sequence_header.units.no_return = meaning.no_return;
     sequence_header.units.returns = meaning.returns;
-    std::erase(meaning.notes, meaning.scale.about);
     if (!sequence_header.units.intensity_max && meaning.scale.is_sure && meaning.scale.max > 1.0) {
         sequence_header.units.intensity_max = meaning.scale.max;
         notes.push_back(meaning.scale.about +

@@ -17,7 +17,6 @@ inline constexpr std::size_t kSampleScans = 6;
 /// If several intensity scales are possible, sets none. Intensities above 1 are then an
 /// error.
 void estimate_missing_point_units(SequenceHeader& sequence_header,
-                                  const std::vector<std::filesystem::path>& scan_files,
-                                  std::vector<std::string>& notes);
+                                  const std::vector<std::filesystem::path>& scan_files, Notes& notes);
 
 }  // namespace relidar::folder

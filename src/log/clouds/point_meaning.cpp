@@ -163,7 +163,7 @@ PointFieldSemantics interpret_point_fields(const std::vector<PointTable>& sample
     meaning.scale = estimate_intensity_scale(intensities);
     meaning.returns = find_unnumbered_returns(sample_clouds);
     for (const std::string& text :
-         {meaning.scale.about, describe_negative_intensities(sample_clouds, meaning.intensity_field),
+         {describe_negative_intensities(sample_clouds, meaning.intensity_field),
           meaning.returns.exist ? meaning.returns.about : "", describe_reversed_times(sample_clouds[0])})
         if (!text.empty()) meaning.notes.push_back(text);
     for (const PointTable& cloud : sample_clouds)

@@ -36,8 +36,8 @@ bool is_point_range_used_for_scan_overlap(const glm::vec3& point_m) {
 // Maximum decrease of the mean upright component (-1 to 1) with another convention, and
 // increase that means that the vehicle was upside down.
 constexpr double kLessUpright = 0.1, kMoreUpright = 0.5;
-// Words of the note that asks for the convention of the poses.
-constexpr const char* kUndecidedNote = ": the convention of the poses is uncertain: ";
+// Note that the order of the quaternions is uncertain.
+constexpr const char* kQuaternionOrder = "quaternion_order";
 
 /// Returns the mean vertical component of the vehicle's z axis.
 double compute_mean_upright(const PoseTrack& track) {
@@ -104,7 +104,7 @@ double OverlapScanPairs::compute_scan_overlap_fraction(const PoseTrack& world_fr
 
 std::size_t choose_pose_interpretation(const std::vector<PoseInterpretation>& interpretations,
                                        const OverlapScanPairReader& read_scan_pairs_or_null,
-                                       const std::string& error_location, std::vector<std::string>& notes) {
+                                       const std::string& error_location, Notes& notes) {
     std::vector<double> forward, upright;
     for (const PoseInterpretation& reading : interpretations) {
         const auto driving = stamped::estimate_driving_direction(reading.world_from_vehicle);
@@ -154,11 +154,14 @@ std::size_t choose_pose_interpretation(const std::vector<PoseInterpretation>& in
                         scans.empty() ? "" : " and consecutive scans overlap better", forward[0],
                         interpretations[0].about));
     else if (undecided > 0)
-        notes.push_back(fmt::format(
-            "{}{}the vehicle moves {:.2f} m forward per metre of its path with poses that are read as {}, "
-            "but {:.2f} m with {}; if these poses are wrong, add a first line with the names of the columns",
-            error_location, kUndecidedNote, forward[0], interpretations[0].about, forward[undecided],
-            interpretations[undecided].about));
+        notes.push_back(
+            {interpretations[undecided].about == kScalarLast ? kQuaternionOrder : "", -1,
+             fmt::format("{}: the convention of the poses is uncertain: the vehicle moves {:.2f} m "
+                         "forward per metre of its path with poses that are read as {}, but {:.2f} m "
+                         "with {}; if these poses are wrong, add a first line with the names of the "
+                         "columns",
+                         error_location, forward[0], interpretations[0].about, forward[undecided],
+                         interpretations[undecided].about)});
     return best;
 }
 
@@ -175,17 +178,17 @@ void correct_poses_if_stored_inverted(LidarSequence& sequence) {
     std::vector<PoseInterpretation> readings = {{"world-from-sensor poses", sequence.world_from_vehicle},
                                                 {"sensor-from-world poses", std::move(inverted_track), true}};
     // The reader had no scans, which now decide the order of the quaternions.
-    const auto undecided = std::ranges::find_if(sequence.notes, [](const std::string& note) {
-        return note.find(kUndecidedNote) != note.npos && note.find(kScalarLast) != note.npos;
-    });
+    const auto undecided = std::ranges::find(sequence.notes, kQuaternionOrder, &Note::id);
     if (undecided != sequence.notes.end()) {
         readings[0].about = kScalarFirst;
         readings.push_back({kScalarLast, std::move(other_order)});
         sequence.notes.erase(undecided);
     }
     const auto read_pairs = [&] { return collect_consecutive_scan_pairs(sequence); };
-    const std::size_t best =
-        choose_pose_interpretation(readings, read_pairs, sequence.source, sequence.notes);
+    Notes notes;
+    const std::size_t best = choose_pose_interpretation(readings, read_pairs, sequence.source, notes);
+    // Now the order is final, so that a converted log keeps the text.
+    for (const Note& note : notes) sequence.notes.push_back(note.text);
     if (best == 0) return;
     set_vehicle_poses(sequence, readings[best].world_from_vehicle);
     sequence.world_offset_m = glm::dvec3(0.0);

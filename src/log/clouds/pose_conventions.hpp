@@ -58,7 +58,7 @@ using OverlapScanPairReader = std::function<OverlapScanPairs()>;
 /// @param error_location  name of the file, for the note
 std::size_t choose_pose_interpretation(const std::vector<PoseInterpretation>& interpretations,
                                        const OverlapScanPairReader& read_scan_pairs_or_null,
-                                       const std::string& error_location, std::vector<std::string>& notes);
+                                       const std::string& error_location, Notes& notes);
 
 /// Inverts the poses of a log if they are probably sensor-from-world poses, and adds a
 /// note. Condition: with the inverse, the vehicle drives forward and consecutive scans

@@ -259,7 +259,7 @@ DrivingDirection estimate_driving_direction(const PoseTrack& world_from_sensor) 
     return driving;
 }
 
-void add_note_unless_driving_forward(std::vector<std::string>& notes, double forward_fraction) {
+void add_note_unless_driving_forward(Notes& notes, double forward_fraction) {
     constexpr double kMostlyForward = 0.9;
     if (forward_fraction < kMostlyForward)
         notes.push_back(fmt::format(

@@ -56,7 +56,7 @@ struct DrivingDirection {
 DrivingDirection estimate_driving_direction(const PoseTrack& world_from_sensor);
 /// Adds a warning to the notes if the vehicle does not seem to drive forward.
 /// @param forward_fraction  x component of the mean driving direction, at most 1
-void add_note_unless_driving_forward(std::vector<std::string>& notes, double forward_fraction);
+void add_note_unless_driving_forward(Notes& notes, double forward_fraction);
 
 /// The scan files of a log with their time stamps, and the poses of the log. Does not
 /// contain the points.

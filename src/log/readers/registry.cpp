@@ -221,7 +221,7 @@ void add_notes_about_dropped_returns(LidarSequence& sequence,
         fail(
             "{}: none of its {} returns is within the range limits; change dataset.min_range_m or "
             "dataset.max_range_m ({})",
-            sequence.source, n_all, sequence.notes.back());
+            sequence.source, n_all, sequence.notes.back().text);
 }
 
 /// Sets the range limits that the user requested for all LiDARs. Turns returns outside

@@ -90,7 +90,7 @@ TEST(CorrectInversePoses, IfTheScansConfirm) {
     folder::correct_poses_if_stored_inverted(log);
     EXPECT_LT(largest_error_m(log), 1e-6);
     ASSERT_EQ(log.notes.size(), street.notes.size() + 1);
-    EXPECT_NE(log.notes.back().find("sensor-from-world"), std::string::npos) << log.notes.back();
+    EXPECT_THAT(log.notes.back(), testing::HasSubstr("sensor-from-world"));
 }
 
 TEST(ChoosePoses, WithoutScansANoteAsksWhetherTheVehicleDrivesBackward) {
@@ -101,7 +101,7 @@ TEST(ChoosePoses, WithoutScansANoteAsksWhetherTheVehicleDrivesBackward) {
         forward.pose.push_back({{1, 0, 0, 0}, {1.5 * i, 0, 0}});
     }
     forward.time_s = backward.time_s;
-    std::vector<std::string> notes;
+    Notes notes;
     EXPECT_EQ(
         folder::choose_pose_interpretation({{folder::kScalarFirst, backward}, {folder::kScalarLast, forward}},
                                            nullptr, "poses", notes),

@@ -16,7 +16,7 @@ using testing::ElementsAre;
 using testing::HasSubstr;
 using testing::IsEmpty;
 
-std::vector<std::string> get_notes_after(const std::function<void(LidarSequence&)>& change) {
+Notes get_notes_after(const std::function<void(LidarSequence&)>& change) {
     static const LidarSequence log = make_synthetic_street({.n_frames = 5, .rows = 8, .columns = 128});
     LidarSequence changed = log;
     changed.notes.clear();
@@ -122,19 +122,6 @@ TEST(ImplausibleValues, PositionsInSinglePrecisionAreReported) {
     EXPECT_THAT(get_notes_after(move_to_map(true)),
                 ElementsAre(HasSubstr("all x coordinates are multiples of 0.0312 m")));
     EXPECT_THAT(get_notes_after(move_to_map(false)), IsEmpty());
-}
-
-TEST(ImplausibleValues, NotesOfAConvertedLogAreReplaced) {
-    const auto move_one_pose = [](LidarSequence& log) {
-        log.world_from_vehicle.pose[2].translation.y += 30.0;
-        folder::add_notes_about_implausible_values(log);
-    };
-    EXPECT_EQ(get_notes_after(move_one_pose).size(), 1u);
-    EXPECT_THAT(get_notes_after([&](LidarSequence& log) {
-                    move_one_pose(log);
-                    log.world_from_vehicle.pose[2].translation.y -= 30.0;
-                }),
-                IsEmpty());
 }
 
 TEST(ImplausibleValues, WrongScalesOfIntensitiesAreReported) {

@@ -251,7 +251,7 @@ LogSummary summarise(const LidarSequence& sequence, const SceneInitialisationOpt
     log.name = sequence.name;
     log.source = sequence.source;
     log.conventions = sequence.conventions;
-    log.notes = sequence.notes;
+    log.notes.assign(sequence.notes.begin(), sequence.notes.end());
     for (std::size_t i = 0; i < sequence.lidars.size(); ++i)
         log.lidars.push_back(summarise(sequence, int(i)));
     log.rolling_shutter = sequence.rolling_shutter;

@@ -312,7 +312,7 @@ private:
     /// or by time. If it covers the times of the frames only on another clock, the other
     /// clock is used.
     std::vector<Pose> read_user_poses_at_frame_times() {
-        const auto read_poses = [&](std::int64_t clock_offset_ns, std::vector<std::string>& notes) {
+        const auto read_poses = [&](std::int64_t clock_offset_ns, Notes& notes) {
             std::vector<folder::SequenceHeaderFrame> frames;
             const double zero_s = 1e-9 * double(poses_.zero_ns - clock_offset_ns);
             for (const FrameCloudMessage& frame : frames_)
@@ -324,7 +324,7 @@ private:
         };
         const ClockOffset offset = compare_with_other_clock();
         std::vector<Pose> poses, other;
-        std::vector<std::string> ignored_notes;
+        Notes ignored_notes;
         try {
             if (offset.offset_ns != 0) other = read_poses(offset.offset_ns, ignored_notes);
         } catch (const DataError&) {
@@ -382,7 +382,7 @@ private:
             else if (has_poses_) pose = compute_vehicle_pose_in_bag_world(frames_[i].time_s);
             add_frame(sequence_, frames_[i].number, frames_[i].time_s, pose, int(frames_[i].lidar));
         }
-        if (options_.poses_file == kNoPoses) add_note_if_not_empty(kitti::kNoPosesNote);
+        if (options_.poses_file == kNoPoses) sequence_.notes.push_back(kitti::kNoPosesNote);
         else if (!sequence_.has_poses)
             add_note_if_not_empty(
                 "the recording has no poses; they must be estimated from the scans, like with "

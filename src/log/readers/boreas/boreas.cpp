@@ -107,7 +107,7 @@ double compute_forward_motion_score(const stamped::DrivingDirection& driving,
 /// Reads the LiDAR poses with the documented convention for roll, pitch and yaw. Uses
 /// another one if the vehicle then drives more exactly forward or moves less up and down.
 PoseTrack read_boreas_poses(const fs::path& pose_file, const stamped::StampedLog& log,
-                            const ForwardDirection& forward_direction, std::vector<std::string>& notes) {
+                            const ForwardDirection& forward_direction, Notes& notes) {
     const std::vector<stamped::StampedPoseRow> rows =
         stamped::read_timestamped_number_rows(pose_file, kPoseNumbers);
     const EulerAngleConvention* best_order = nullptr;

@@ -252,7 +252,7 @@ std::vector<Pose> interpolate_poses_at_frames(const PoseTrack& track,
 /// Adds a note if the poses are much farther apart in time than the scans. The usual
 /// cause is a wrong unit of the times.
 void add_note_if_poses_are_sparse(const PoseTrack& track, const std::vector<SequenceHeaderFrame>& frames,
-                                  const std::string& file_name, std::vector<std::string>& notes) {
+                                  const std::string& file_name, Notes& notes) {
     std::vector<double> frame_times_s;
     for (const SequenceHeaderFrame& frame : frames)
         if (frame.lidar == frames.front().lidar) frame_times_s.push_back(frame.time_s);
@@ -308,7 +308,7 @@ BoxLabel read_box_label(const JsonField& label, const std::vector<SequenceHeader
 std::optional<std::vector<Pose>> read_frame_poses(const fs::path& pose_file,
                                                   const std::vector<SequenceHeaderFrame>& frames,
                                                   const OverlapScanPairReader& read_scan_pairs_for_pose_check,
-                                                  std::vector<std::string>& notes) {
+                                                  Notes& notes) {
     if (!does_path_exist(pose_file)) return std::nullopt;
     std::vector<std::string> lines = split_lines(read_text_file(pose_file));
     for (std::string& line : lines) std::ranges::replace(line, ',', ' ');

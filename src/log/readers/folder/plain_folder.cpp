@@ -24,8 +24,7 @@ using folder::SequenceHeaderFrame;
 /// @throws DataError if a scan file is missing and missing scans are not allowed
 /// @throws UsageError if the range contains no scan file
 std::vector<SequenceHeaderFrame> select_requested_frames(const folder::SequenceHeader& sequence_header,
-                                                         const DatasetOptions& options,
-                                                         std::vector<std::string>& notes) {
+                                                         const DatasetOptions& options, Notes& notes) {
     std::vector<SequenceHeaderFrame> frames;
     std::size_t n_missing = 0;
     for (const SequenceHeaderFrame& frame : sequence_header.frames) {
@@ -103,11 +102,10 @@ folder::OverlapScanPairs read_consecutive_scan_pairs(const folder::SequenceHeade
 std::vector<Pose> read_vehicle_poses_or_identities(const fs::path& folder,
                                                    const folder::SequenceHeader& sequence_header,
                                                    const std::vector<SequenceHeaderFrame>& frames,
-                                                   const DatasetOptions& options,
-                                                   std::vector<std::string>& notes) {
+                                                   const DatasetOptions& options, Notes& notes) {
     const fs::path file = folder / folder::kPosesFile;
     const auto pairs = [&] { return read_consecutive_scan_pairs(sequence_header, frames); };
-    std::vector<std::string> unused_notes;
+    Notes unused_notes;
     try {
         if (const auto poses = folder::read_frame_poses(file, frames, pairs,
                                                         options.poses_file.empty() ? notes : unused_notes))
@@ -133,10 +131,7 @@ void replace_vehicle_poses(LidarSequence& sequence, const folder::SequenceHeader
     PoseTrack track{sequence.world_from_vehicle.time_s, {}};
     if (pose_file == kNoPoses) {
         track.pose.resize(track.time_s.size());
-        // Adds the note that the log has no poses, unless the log already contains it.
-        const auto& notes = sequence.notes;
-        if (std::find(notes.begin(), notes.end(), kitti::kNoPosesNote) == notes.end())
-            sequence.notes.push_back(kitti::kNoPosesNote);
+        sequence.notes.push_back(kitti::kNoPosesNote);
     } else {
         const auto pairs = [&] { return read_consecutive_scan_pairs(sequence_header, frames); };
         const std::optional<std::vector<Pose>> poses =

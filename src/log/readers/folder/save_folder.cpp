@@ -53,12 +53,14 @@ std::string make_scan_file_name(const LidarSequence& sequence, const LidarFrame&
 }
 
 std::string make_sequence_json_text(const LidarSequence& sequence) {
+    Notes notes = sequence.notes;
+    std::erase_if(notes, [](const Note& note) { return !note.id.empty(); });
     Json json = {{"format", folder::kFormat},
                  {"version", folder::kVersion},
                  {"relidar", RELIDAR_VERSION},
                  {"name", sequence.name},
                  {"conventions", sequence.conventions},
-                 {"notes", sequence.notes},
+                 {"notes", notes},
                  {"motion_compensated", !sequence.rolling_shutter},
                  {"world_offset_m", make_json(sequence.world_offset_m)},
                  {"lidars", Json::array()},

@@ -33,7 +33,7 @@ struct RequestedDrive {
     std::string name;  ///< name of its folders
     FrameRange frames;
     std::vector<int> test_frames = {};  ///< see RequestedDriveFrames
-    std::vector<std::string> notes = {};
+    Notes notes = {};
 };
 
 std::vector<std::string> list_drives(const fs::path& folder) {

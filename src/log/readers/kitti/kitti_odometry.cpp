@@ -54,7 +54,7 @@ fs::path find_odometry_pose_file(const fs::path& sequence_folder) {
 /// Reads the LiDAR poses in the world frame for some frames.
 std::vector<Pose> read_odometry_poses(const fs::path& sequence_folder, const std::vector<int>& frame_numbers,
                                       const std::vector<double>& frame_times_s,
-                                      const fs::path& user_pose_file, std::vector<std::string>& notes) {
+                                      const fs::path& user_pose_file, Notes& notes) {
     if (user_pose_file == kNoPoses) return std::vector<Pose>(frame_numbers.size());
     if (!user_pose_file.empty())
         return kitti::read_user_pose_file(user_pose_file, frame_numbers, frame_times_s, notes);
@@ -73,7 +73,7 @@ LidarSequence load_kitti_odometry(const fs::path& log_folder, const DatasetOptio
     const std::vector<int> frames =
         kitti::list_scan_numbers(folder / "velodyne", options.frames.begin, options.frames.end);
     const std::vector<double> time_s = read_frame_times_s(folder / "times.txt", frames);
-    std::vector<std::string> pose_notes;
+    Notes pose_notes;
     const std::vector<Pose> poses =
         read_odometry_poses(folder, frames, time_s, options.poses_file, pose_notes);
     LidarSequence sequence;

@@ -187,8 +187,7 @@ std::vector<Pose> read_pose_matrices(const fs::path& pose_file, const std::vecto
 }
 
 std::vector<Pose> read_user_pose_file(const fs::path& pose_file, const std::vector<int>& frame_numbers,
-                                      const std::vector<double>& frame_times_s,
-                                      std::vector<std::string>& notes) {
+                                      const std::vector<double>& frame_times_s, Notes& notes) {
     std::vector<folder::SequenceHeaderFrame> heads;
     for (std::size_t i = 0; i < frame_numbers.size(); ++i)
         heads.push_back({frame_numbers[i], frame_times_s[i], 0, {}});

@@ -32,10 +32,9 @@ PoseTrack read_drive_poses(const fs::path& drive_folder, const std::vector<int>&
 
 /// Returns notes for the user about missing scans, labels and poses. For example, four
 /// scans are missing in the middle of drive 0009.
-std::vector<std::string> list_missing_data_notes(const fs::path& drive_folder,
-                                                 const std::vector<int>& frame_numbers,
-                                                 const DatasetOptions& options) {
-    std::vector<std::string> notes;
+Notes list_missing_data_notes(const fs::path& drive_folder, const std::vector<int>& frame_numbers,
+                              const DatasetOptions& options) {
+    Notes notes;
     const std::string gaps = describe_or_reject_missing_scan_files(
         drive_folder / "velodyne_points/data", frame_numbers, options.allow_missing_scans);
     if (!gaps.empty()) notes.push_back(gaps);

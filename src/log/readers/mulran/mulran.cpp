@@ -123,8 +123,7 @@ void add_ring_and_time_fields(folder::PointTable& table, MulranPointOrder point_
     table.add_value_field("time", folder::ScalarType::f8, std::move(time), error_location);
 }
 
-PoseTrack read_mulran_poses(const fs::path& pose_file, const stamped::StampedLog& log,
-                            std::vector<std::string>& notes) {
+PoseTrack read_mulran_poses(const fs::path& pose_file, const stamped::StampedLog& log, Notes& notes) {
     PoseTrack track;
     for (const stamped::StampedPoseRow& row : stamped::read_timestamped_number_rows(pose_file, 12)) {
         const std::vector<double>& m = row.values;

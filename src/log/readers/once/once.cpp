@@ -110,7 +110,7 @@ PoseTrack make_lidar_track_in_dataset_axes(const std::vector<OncePose>& poses, c
 
 /// Returns the LiDAR poses over time in relidar's axes (x forward, y left).
 PoseTrack make_lidar_track_with_x_forward(const OnceFile& dataset_content, const stamped::StampedLog& log,
-                                          std::vector<std::string>& notes) {
+                                          Notes& notes) {
     const PoseTrack w_last = make_lidar_track_in_dataset_axes(dataset_content.poses, log, false),
                     w_first = make_lidar_track_in_dataset_axes(dataset_content.poses, log, true);
     const double last = -stamped::estimate_driving_direction(w_last).mean.y,

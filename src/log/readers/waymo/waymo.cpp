@@ -49,7 +49,7 @@ struct RequestedSegment {
     FrameRange frames;
     bool top_alone = false;
     std::vector<int> test_frames = {};  ///< see RequestedDriveFrames
-    std::vector<std::string> notes = {};
+    Notes notes = {};
 };
 
 std::vector<fs::path> list_segment_files(const fs::path& file_or_folder) {

@@ -258,7 +258,7 @@ TEST_F(FolderDamage, TimesInWrongUnitAreNoted) {
                 points[i].time_s = (0.1 * scan + 0.001 * double(i % 90)) / unit_s;
             put(scan == 0 ? "scans/a.pcd" : "scans/b.pcd", test::make_pcd_binary(points));
         }
-        return fmt::format("{}", fmt::join(load_sequence("folder:" + folder.string(), {}).notes, "; "));
+        return test::join_lines(load_sequence("folder:" + folder.string(), {}).notes);
     };
     EXPECT_THAT(load_notes(1.0), testing::Not(test::Names("times of the points are probably wrong")));
     EXPECT_THAT(load_notes(1000.0), test::Names("times of the points are probably wrong ... 0.1 s"));
@@ -268,7 +268,7 @@ TEST_F(FolderDamage, TimesInWrongUnitAreNoted) {
     for (test::FilePoint& point : points) point.time_s += 5.0;
     put("scans/a.pcd", test::make_pcd_binary(points));
     put("scans/b.pcd", test::make_pcd_binary(points));
-    EXPECT_THAT(fmt::format("{}", fmt::join(load_sequence("folder:" + folder.string(), {}).notes, "; ")),
+    EXPECT_THAT(test::join_lines(load_sequence("folder:" + folder.string(), {}).notes),
                 test::Names("times of the points are probably wrong ... differ by up to 5"));
 }
 
@@ -293,7 +293,7 @@ TEST_F(FolderDamage, PoseTimesInWrongUnitAreNoted) {
     const auto load_notes = [&](double step_s, const char* header = "") {
         put("poses.txt", header + fmt::format("0 0 0 0 1 0 0 0\n{} 1 0 0 1 0 0 0\n{} 2 0 0 1 0 0 0\n", step_s,
                                               2.0 * step_s));
-        return fmt::format("{}", fmt::join(load_sequence("folder:" + folder.string(), {}).notes, "; "));
+        return test::join_lines(load_sequence("folder:" + folder.string(), {}).notes);
     };
     EXPECT_THAT(load_notes(0.1), testing::Not(test::Names("poses are ... apart")));
     for (const char* header : {"", "# time_s x y z qw qx qy qz\n"})
@@ -305,7 +305,7 @@ TEST_F(FolderDamage, DamagedPosesThatAreNotUsedAreNoError) {
     put("poses.txt", "1 0 0 0 0 1 0 0 0 0 1 0\n");
     const LidarSequence log = load_sequence("folder:" + folder.string(), make_options_without_poses());
     EXPECT_EQ(log.frames.size(), 2u);
-    EXPECT_THAT(fmt::format("{}", fmt::join(log.notes, "; ")),
+    EXPECT_THAT(test::join_lines(log.notes),
                 test::Names("poses.txt: found 1 lines ... boxes ... wrong places"));
 }
 
@@ -325,7 +325,7 @@ TEST_F(FolderDamage, MissingScansAreNoted) {
             poses += "1 0 0 0 0 1 0 0 0 0 1 0\n";
         }
         put("poses.txt", poses);
-        return fmt::format("{}", fmt::join(load_sequence("folder:" + folder.string(), {}).notes, "; "));
+        return test::join_lines(load_sequence("folder:" + folder.string(), {}).notes);
     };
     EXPECT_THAT(load_notes({0, 1, 3}), test::Names("no scan was found between 000001 and 000003"));
     EXPECT_THAT(load_notes({0, 2, 3}), test::Names("no scan was found between 000000 and 000002"));
