@@ -144,19 +144,9 @@ struct BoxLabel {
 /// the track.
 std::vector<BoxTrack> build_tracks(const std::vector<BoxLabel>& labels);
 
-/// Checks that a log is valid, and throws an error if it is not. load_sequence() calls
-/// this function for every reader. The function checks:
-/// - LiDAR indices are valid, times ascend, and each time has a pose.
-/// - Rays and returns are finite, and directions are unit vectors.
-/// - All arrays of a scan have the length of its ray table.
-/// - Boxes are within reach of the vehicle.
+/// Checks that a log can be used, for example that times ascend, numbers are finite and
+/// arrays have equal lengths. load_sequence() calls this function for every reader.
 /// @throws DataError naming the frame or box, the field and the value
 void require_valid_sequence(const LidarSequence& sequence);
-
-/// Adds a note to the log for each gap in time between frames. A gap is a time step
-/// longer than 1 s and longer than ten times the median step.
-/// @throws DataError if the clock jumps: a time step is longer than 60 s and longer than
-/// ten times the median step
-void add_notes_about_time_gaps(LidarSequence& sequence);
 
 }  // namespace relidar

@@ -36,23 +36,18 @@ constexpr double kClearlyMore = 3.0;
 constexpr double kMinStep_m = 0.5, kMinPath_m = 5.0;
 
 /// Possible fault of boxes, which a correction reverts: moves the boxes up by half their
-/// height, turns them by 90 degrees, or mirrors y coordinates or yaw angles.
+/// height, turns them by 90 degrees, or mirrors y coordinates and yaw angles.
 struct BoxFault {
     const char* description;
-    bool is_bottom = false, is_turned = false, has_mirrored_y = false, has_mirrored_yaw = false,
+    bool is_bottom = false, is_turned = false, is_mirrored = false,
          is_in_vehicle = false;  ///< mirrored in the frame of the vehicle, not in the world
 };
 constexpr std::size_t kTurned = 1;
-constexpr std::array<BoxFault, 8> kFaults{
+constexpr std::array<BoxFault, 4> kFaults{
     {{"the positions seem to be the centres of the bottom sides, expected the centres of the boxes", true},
      {"", false, true},
-     {"y and yaw seem to have the opposite sign in the world", false, false, true, true},
-     {"y seems to have the opposite sign in the world", false, false, true, false},
-     {"the yaw seems to have the opposite sign in the world", false, false, false, true},
-     {"y and yaw seem to have the opposite sign in the frame of the vehicle", false, false, true, true, true},
-     {"y seems to have the opposite sign in the frame of the vehicle", false, false, true, false, true},
-     {"the yaw seems to have the opposite sign in the frame of the vehicle", false, false, false, true,
-      true}}};
+     {"y and yaw seem to have the opposite sign in the world", false, false, true},
+     {"y and yaw seem to have the opposite sign in the frame of the vehicle", false, false, true, true}}};
 
 /// Points that the boxes gain or lose with another convention.
 struct PointGain {
@@ -86,9 +81,8 @@ Pose correct_box(const Pose& world_from_box, double height_m, const Pose& world_
     if (fault.is_bottom) return world_from_box * Pose{{1, 0, 0, 0}, {0.0, 0.0, 0.5 * height_m}};
     if (fault.is_turned) return world_from_box * Pose{make_rotation(0.5 * kPi, 0.0, 0.0), {}};
     Pose box = inverse(world_from_frame) * world_from_box;
-    if (fault.has_mirrored_y) box.translation.y = -box.translation.y;
-    if (fault.has_mirrored_yaw)
-        box.rotation = glm::dquat(box.rotation.w, -box.rotation.x, box.rotation.y, -box.rotation.z);
+    box.translation.y = -box.translation.y;
+    box.rotation = glm::dquat(box.rotation.w, -box.rotation.x, box.rotation.y, -box.rotation.z);
     return world_from_frame * box;
 }
 
@@ -111,7 +105,7 @@ void add_points_of_box(const std::vector<glm::dvec3>& points_m, const Pose& box_
         n_lost += was_inside && !is_inside && (!fault.is_bottom || before_m.z < -0.5 * kGround_m);
         n_in_shell += !is_inside && contains(half_m, after_m, kShell_m);
     }
-    const bool is_isolated = !fault.has_mirrored_y || double(n_in_shell) < kMostInShell * double(n_gained);
+    const bool is_isolated = !fault.is_mirrored || double(n_in_shell) < kMostInShell * double(n_gained);
     gain.add_view(is_isolated ? n_gained : 0, n_lost);
 }
 
@@ -138,7 +132,7 @@ void add_points_of_frame(const LidarSequence& sequence, const LidarFrame& frame,
                    world_from_box = box.world_from_box.interpolate_pose(time_s);
         for (std::size_t f = 0; f < kFaults.size(); ++f) {
             const BoxFault& fault = kFaults[f];
-            if (!fault.is_bottom && !fault.has_mirrored_y && !is_elongated(box.size_m)) continue;
+            if (!fault.is_bottom && !fault.is_mirrored && !is_elongated(box.size_m)) continue;
             const Pose mirrored_frame = fault.is_in_vehicle
                                             ? sequence.world_from_vehicle.interpolate_pose(time_s)
                                             : Pose{{1, 0, 0, 0}, -sequence.world_offset_m};

@@ -349,7 +349,7 @@ private:
                     "the points have no times; relidar computes them from the azimuths and assumes that a "
                     "sweep takes {:.3g} s and that the LiDAR's head faces forward at the time of the frame",
                     sensor.period_s));
-        // add_notes_about_implausible_values() reports scans that are much farther apart.
+        // The check "time_unit" reports scans that are much farther apart.
         const double step_s = find_median_frame_step_s(lidar_index).value_or(INFINITY);
         if (!head_.motion_compensated && step_s <= kLongestFrameStep_s)
             if (const std::string text = describe_implausible_times(samples, step_s); !text.empty())

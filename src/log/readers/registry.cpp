@@ -14,9 +14,9 @@
 #include "base/fail.hpp"
 #include "base/files.hpp"
 #include "base/parallel.hpp"
+#include "log/checks/checks.hpp"
 #include "log/clouds/box_conventions.hpp"
 #include "log/clouds/far_marker.hpp"
-#include "log/clouds/implausible_values.hpp"
 #include "log/clouds/log_files.hpp"
 #include "log/clouds/other_formats.hpp"
 #include "log/clouds/point_table.hpp"
@@ -381,14 +381,13 @@ LidarSequence load_sequence(const std::string& dataset, const DatasetOptions& op
                                  .load(split_kind_and_path(dataset).second, options);
     sequence.rolling_shutter = sequence.rolling_shutter && options.rolling_shutter;
     require_valid_sequence(sequence);
-    add_notes_about_time_gaps(sequence);
     if (!options.lidars.empty()) remove_all_except_named_lidars(sequence, options.lidars);
     folder::correct_poses_if_stored_inverted(sequence);
     set_sweep_starts_and_azimuth_shifts(sequence);
     remove_returns_that_mark_dropped_rays(sequence);
     apply_range_limits_to_lidars_and_scans(sequence, {options.min_range_m, options.max_range_m});
     folder::remove_boxes_of_vehicle(sequence);
-    folder::add_notes_about_implausible_values(sequence);
+    checks::note_faults(sequence);
     return sequence;
 }
 

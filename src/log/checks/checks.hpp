@@ -1,0 +1,79 @@
+// SPDX-License-Identifier: Apache-2.0
+// Checks of a loaded log, whatever the dataset is. checks.cpp has the table.
+#pragma once
+
+#include <cmath>
+#include <string>
+#include <vector>
+
+#include <fmt/format.h>
+
+#include <relidar/log/sequence.hpp>
+
+#include "base/fail.hpp"
+
+namespace relidar::checks {
+
+/// Returns in one scan, or in several scans, and their intensities.
+struct ReturnStatistics {
+    std::size_t n_returns = 0, n_at_maximum = 0;
+    float lowest = INFINITY, highest = -INFINITY;
+
+    void add(const ReturnStatistics& other) {
+        n_returns += other.n_returns;
+        n_at_maximum += other.n_at_maximum;
+        lowest = std::min(lowest, other.lowest);
+        highest = std::max(highest, other.highest);
+    }
+};
+
+/// A log, and the statistics of its scans, which all tests share.
+struct CheckedLog {
+    const LidarSequence& sequence;
+    std::vector<ReturnStatistics> scans = {};  ///< [frames] empty for checks of errors
+};
+
+class FaultReport;
+/// Reports each place where a log has a fault.
+using Test = void(const CheckedLog& log, const FaultReport& report);
+
+/// A fault that a log can have.
+struct Check {
+    const char* id;
+    Test& test;
+    const char* text;       ///< {} are the values that the test reports
+    bool is_error = false;  ///< true if the fault makes the log unusable; false for a note
+};
+
+/// Makes the message of a fault from the text of its check.
+class FaultReport {
+public:
+    FaultReport(const Check& check, const LidarSequence& sequence, Notes& notes)
+        : check_(check), sequence_(sequence), notes_(notes) {}
+
+    /// Adds a note, or throws DataError if the fault is an error.
+    /// @param lidar  index of the LiDAR that has the fault; -1: the log
+    template <class... Values>
+    void add(int lidar, const Values&... values) const {
+        std::string text = fmt::format(fmt::runtime(check_.text), values...);
+        if (check_.is_error) fail("{}: {}", sequence_.name, text);
+        const std::string name = lidar < 0 ? "" : sequence_.lidars[std::size_t(lidar)].name;
+        notes_.push_back({check_.id, lidar, (name.empty() ? "" : "LiDAR '" + name + "': ") + text});
+    }
+
+private:
+    const Check& check_;
+    const LidarSequence& sequence_;
+    Notes& notes_;
+};
+
+Test test_frames, test_lidar_names, test_frame_numbers, test_frame_times, test_clock_jump, test_poses,
+    test_array_sizes, test_rays, test_box_sizes, test_box_places;
+Test test_time_gaps, test_time_unit, test_speed, test_float_positions, test_few_returns, test_rotation,
+    test_equal_intensities, test_dark, test_saturated, test_box_convention;
+
+/// Adds a note for each fault that a log probably has, such as wrong units or incomplete
+/// scans. require_valid_sequence() throws if a fault makes the log unusable.
+void note_faults(LidarSequence& sequence);
+
+}  // namespace relidar::checks

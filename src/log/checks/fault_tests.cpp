@@ -1,0 +1,247 @@
+// SPDX-License-Identifier: Apache-2.0
+// Tests for faults that a log probably has, and for gaps between its frames.
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <complex>
+#include <set>
+
+#include <relidar/base/float_step.hpp>
+
+#include "base/median.hpp"
+#include "log/checks/checks.hpp"
+#include "log/clouds/box_conventions.hpp"
+#include "log/clouds/match_sweeps.hpp"
+
+namespace relidar::checks {
+namespace {
+
+// A time step is a gap if it is longer than both. A gap above kMaxGap_s is a jump of the
+// clock.
+constexpr double kMinGap_s = 1.0, kMinGapSteps = 10.0, kMaxGap_s = 60.0;
+// A vehicle that moves faster, and farther in one step, has wrong poses or times.
+constexpr double kMaxSpeed_mps = 100.0, kMinJump_m = 2.0;
+// A scan is probably incomplete if it has a smaller share of the median number of returns
+// of its neighbours, which are this number of scans before and after it.
+constexpr double kMinReturnShare = 0.5;
+constexpr std::ptrdiff_t kNeighbourScans = 5;
+// If the largest intensity of a LiDAR is smaller, the scale of the intensities is
+// probably wrong. The limit is above 1/255, the result of dividing values of 0 to 1 by 255.
+constexpr float kMinBrightest = 0.005f;
+constexpr double kMaxSaturatedShare = 0.25;  // of the returns that have the maximum intensity
+// Plausible median time between frames, relative to the duration of a sweep. With a wrong
+// unit, frames are by a multiple of 1000 farther apart. A log may have a scan every few
+// minutes, so milliseconds are assumed only if the frames would then follow each other.
+constexpr double kMinSweeps = 0.7, kMaxSweeps = 1.5, kMaxSweepsOfLongSteps = 100.0;
+constexpr double kUsualSweep_s = 0.1;  // if the duration of a sweep is unknown
+// Coordinates are in single precision if all of them are multiples of its step. A step
+// below the first limit does no harm. Fewer different coordinates prove nothing.
+constexpr double kMinFloatStep_m = 0.01, kMaxStepError = 1e-4;
+constexpr std::size_t kMinCoordinates = 5;
+// Fit of the times of rays to a direction of rotation, as |mean of exp(i phase error)|.
+constexpr double kMinFit = 0.9, kMaxMisfit = 0.6;
+constexpr int kRotationScans = 5;
+
+/// Steps between frames that are much longer than usual.
+struct TimeGaps {
+    std::size_t n = 0;
+    double usual_s = 0.0, longest_s = 0.0;
+    int before = 0, after = 0;  ///< numbers of the frames at the longest gap
+};
+
+TimeGaps find_time_gaps(const LidarSequence& sequence) {
+    std::vector<double> steps_s;
+    TimeGaps gaps;
+    for (std::size_t i = 1; i < sequence.frames.size(); ++i) {
+        const LidarFrame &before = sequence.frames[i - 1], &after = sequence.frames[i];
+        const double step_s = after.time_s - before.time_s;
+        if (step_s > 0.0) steps_s.push_back(step_s);
+        if (step_s > gaps.longest_s)
+            gaps = {.longest_s = step_s, .before = before.index, .after = after.index};
+    }
+    if (steps_s.empty()) return {};
+    std::ranges::sort(steps_s);
+    gaps.usual_s = steps_s[(steps_s.size() - 1) / 2];
+    gaps.n = std::size_t(std::ranges::count_if(
+        steps_s, [&](double step_s) { return step_s > std::max(kMinGap_s, kMinGapSteps * gaps.usual_s); }));
+    return gaps;
+}
+
+/// Returns the duration of a sweep. Without a known period, returns the time between the
+/// first and the last ray of a scan.
+double find_sweep_duration_s(const LidarSequence& sequence) {
+    for (const Lidar& lidar : sequence.lidars)
+        if (lidar.get_sweep_period_s() > 0.0) return lidar.get_sweep_period_s();
+    for (const LidarFrame& frame : sequence.frames) {
+        if (frame.scan.rays.size() == 0) continue;
+        const auto [first_s, last_s] = std::ranges::minmax(frame.scan.rays.time_offset_s);
+        if (last_s > first_s) return double(last_s) - double(first_s);
+    }
+    return kUsualSweep_s;
+}
+
+int find_frame_number_at(const LidarSequence& sequence, double time_s) {
+    const auto frame = std::ranges::lower_bound(sequence.frames, time_s, {}, &LidarFrame::time_s);
+    return frame == sequence.frames.end() ? sequence.frames.back().index : frame->index;
+}
+
+/// Returns the statistics of all scans of a LiDAR. -1: of all LiDARs
+ReturnStatistics add_scans(const CheckedLog& log, int lidar) {
+    ReturnStatistics sum;
+    for (std::size_t i = 0; i < log.scans.size(); ++i)
+        if (lidar < 0 || log.sequence.frames[i].lidar == lidar) sum.add(log.scans[i]);
+    return sum;
+}
+
+bool are_intensities_equal(const CheckedLog& log) {
+    const ReturnStatistics all = add_scans(log, -1);
+    return all.n_returns > 0 && all.lowest == all.highest;
+}
+
+}  // namespace
+
+void test_clock_jump(const CheckedLog& log, const FaultReport& report) {
+    if (const TimeGaps gaps = find_time_gaps(log.sequence); gaps.n > 0 && gaps.longest_s > kMaxGap_s)
+        report.add(-1, gaps.after, gaps.longest_s, gaps.before, kMaxGap_s, gaps.usual_s);
+}
+
+void test_time_gaps(const CheckedLog& log, const FaultReport& report) {
+    if (const TimeGaps gaps = find_time_gaps(log.sequence); gaps.n > 0)
+        report.add(-1, gaps.n, gaps.longest_s, gaps.before, gaps.after, gaps.usual_s);
+}
+
+void test_time_unit(const CheckedLog& log, const FaultReport& report) {
+    const std::vector<double>& times_s = log.sequence.world_from_vehicle.time_s;
+    if (times_s.size() < 2) return;
+    const double step_s = compute_median_interval_s(times_s), sweep_s = find_sweep_duration_s(log.sequence);
+    double per_second = 1.0;
+    for (const char* unit : {"milliseconds", "microseconds", "nanoseconds"}) {
+        per_second *= 1000.0;
+        const double n_sweeps = step_s / per_second / sweep_s;
+        if (n_sweeps < kMinSweeps || n_sweeps > (per_second > 1000.0 ? kMaxSweepsOfLongSteps : kMaxSweeps))
+            continue;
+        return report.add(-1, step_s, sweep_s, unit);
+    }
+}
+
+void test_speed(const CheckedLog& log, const FaultReport& report) {
+    const auto& [time_s, pose] = log.sequence.world_from_vehicle;
+    if (!log.sequence.has_poses) return;
+    std::size_t n_too_fast = 0, fastest = 0;
+    double fastest_mps = 0.0;
+    for (std::size_t k = 1; k < pose.size(); ++k) {
+        const double distance_m = glm::distance(pose[k].translation, pose[k - 1].translation),
+                     speed_mps = distance_m / (time_s[k] - time_s[k - 1]);
+        if (!(distance_m > kMinJump_m && speed_mps > kMaxSpeed_mps)) continue;
+        ++n_too_fast;
+        if (speed_mps <= fastest_mps) continue;
+        fastest_mps = speed_mps;
+        fastest = k;
+    }
+    if (n_too_fast > 0)
+        report.add(-1, kMaxSpeed_mps, n_too_fast, pose.size() - 1, fastest_mps,
+                   find_frame_number_at(log.sequence, time_s[fastest - 1]),
+                   find_frame_number_at(log.sequence, time_s[fastest]));
+}
+
+void test_float_positions(const CheckedLog& log, const FaultReport& report) {
+    for (int axis = 0; axis < 2 && log.sequence.has_poses; ++axis) {
+        std::set<double> different_m;
+        double step_m = 0.0;
+        bool is_rounded = true;
+        for (const Pose& pose : log.sequence.world_from_vehicle.pose) {
+            const double value_m = pose.translation[axis] + log.sequence.world_offset_m[axis];
+            step_m = compute_float_step_m(value_m);
+            const double n_steps = value_m / step_m;
+            is_rounded = is_rounded && step_m > kMinFloatStep_m &&
+                         std::abs(n_steps - std::round(n_steps)) < kMaxStepError;
+            different_m.insert(std::round(n_steps) * step_m);
+        }
+        if (is_rounded && different_m.size() >= kMinCoordinates)
+            return report.add(-1, axis == 0 ? "x" : "y", step_m, *different_m.rbegin());
+    }
+}
+
+void test_few_returns(const CheckedLog& log, const FaultReport& report) {
+    for (std::size_t l = 0; l < log.sequence.lidars.size(); ++l) {
+        std::vector<std::size_t> n_returns;
+        std::vector<int> frame_numbers;
+        bool are_neighbours = true;  // false if only a few scans of the log are read
+        for (std::size_t i = 0; i < log.scans.size(); ++i) {
+            const LidarFrame& frame = log.sequence.frames[i];
+            if (frame.lidar != int(l)) continue;
+            are_neighbours = are_neighbours && frame.scan.rays.rows > 0;
+            n_returns.push_back(log.scans[i].n_returns);
+            frame_numbers.push_back(frame.index);
+        }
+        std::size_t n_small = 0, worst = 0, usual_of_worst = 0;
+        for (std::size_t k = 0; k < n_returns.size() && are_neighbours; ++k) {
+            const auto at = n_returns.begin() + std::ptrdiff_t(k);
+            const std::size_t usual =
+                compute_median(std::vector(at - std::min(kNeighbourScans, at - n_returns.begin()),
+                                           at + 1 + std::min(kNeighbourScans, n_returns.end() - at - 1)));
+            if (double(*at) >= kMinReturnShare * double(usual)) continue;
+            if (n_small++ > 0 && *at >= n_returns[worst]) continue;
+            worst = k;
+            usual_of_worst = usual;
+        }
+        if (n_small > 0)
+            report.add(int(l), n_small, n_returns.size(), frame_numbers[worst], n_returns[worst],
+                       usual_of_worst);
+    }
+}
+
+void test_equal_intensities(const CheckedLog& log, const FaultReport& report) {
+    if (are_intensities_equal(log)) report.add(-1, add_scans(log, -1).highest);
+}
+
+void test_dark(const CheckedLog& log, const FaultReport& report) {
+    for (int l = 0; l < std::ssize(log.sequence.lidars) && !are_intensities_equal(log); ++l)
+        if (const float highest = add_scans(log, l).highest; highest >= 0.0f && highest < kMinBrightest)
+            report.add(l, highest);
+}
+
+void test_saturated(const CheckedLog& log, const FaultReport& report) {
+    for (int l = 0; l < std::ssize(log.sequence.lidars) && !are_intensities_equal(log); ++l) {
+        const ReturnStatistics sum = add_scans(log, l);
+        const double share = double(sum.n_at_maximum) / double(std::max<std::size_t>(sum.n_returns, 1));
+        if (share > kMaxSaturatedShare) report.add(l, 100.0 * share);
+    }
+}
+
+/// Compares |mean of exp(i (azimuth -+ 2 pi t / period))|, which is 1 for the direction
+/// in which the head turns.
+void test_rotation(const CheckedLog& log, const FaultReport& report) {
+    for (std::size_t l = 0; l < log.sequence.lidars.size(); ++l) {
+        const Lidar& lidar = log.sequence.lidars[l];
+        if (lidar.pattern || lidar.sensor.beams.empty() || !(lidar.sensor.period_s > 0.0)) continue;
+        std::array<double, 2> fit{};  // of the direction of the sensor, and of the other direction
+        int n_scans = 0;
+        for (std::size_t i = 0; i < log.scans.size() && n_scans < kRotationScans; ++i) {
+            const Scan& scan = log.sequence.frames[i].scan;
+            if (log.sequence.frames[i].lidar != int(l) || log.scans[i].n_returns == 0) continue;
+            ++n_scans;
+            std::array<std::complex<double>, 2> sums{};
+            for (std::size_t ray = 0; ray < scan.range_m.size(); ++ray) {
+                if (!(scan.range_m[ray] > 0.0f)) continue;
+                const glm::vec3& d = scan.rays.direction[ray];
+                const double azimuth_rad = std::atan2(double(d.y), double(d.x)),
+                             turned_rad = (lidar.sensor.clockwise ? -2.0 : 2.0) * kPi *
+                                          double(scan.rays.time_offset_s[ray]) / lidar.sensor.period_s;
+                sums[0] += std::polar(1.0, azimuth_rad - turned_rad);
+                sums[1] += std::polar(1.0, azimuth_rad + turned_rad);
+            }
+            for (std::size_t k = 0; k < 2; ++k) fit[k] += std::abs(sums[k]) / double(log.scans[i].n_returns);
+        }
+        if (n_scans > 0 && fit[1] >= kMinFit * n_scans && fit[0] <= kMaxMisfit * n_scans)
+            report.add(int(l), lidar.sensor.clockwise ? "counterclockwise" : "clockwise",
+                       lidar.sensor.clockwise ? "clockwise" : "counterclockwise");
+    }
+}
+
+void test_box_convention(const CheckedLog& log, const FaultReport& report) {
+    if (const std::string fault = folder::describe_box_fault(log.sequence); !fault.empty())
+        report.add(-1, fault);
+}
+
+}  // namespace relidar::checks
