@@ -13,6 +13,7 @@
 
 #include "log/clouds/pose_conventions.hpp"
 #include "log/clouds/return_pairs.hpp"
+#include "log/clouds/scan_plan.hpp"
 
 namespace relidar::folder {
 
@@ -47,17 +48,8 @@ struct PointFileUnits {
 };
 
 /// A LiDAR that sequence.json describes.
-struct SequenceHeaderLidar {
+struct SequenceHeaderLidar : LidarScanLayout {
     Lidar lidar;
-    bool has_beams = false;  ///< true if the user gave the beams, as a list or by the name of the sensor
-    bool spins = true;       ///< true if the LiDAR rotates; unknown beams can then be estimated from points
-    /// True if it is unknown whether the LiDAR rotates. Points that do not fit a spinning
-    /// LiDAR are then accepted.
-    bool is_guessed = false;
-    bool lowest_first = false;  ///< true if ring 0 of the scan files is the lowest beam
-    /// Duration of a sweep in seconds, for points without times. 0: uses the time between
-    /// frames.
-    double sweep_duration_s = 0.0;
     std::string scans;  ///< folder with the scan files, if sequence.json does not list frames
 };
 
@@ -107,11 +99,10 @@ std::vector<BoxTrack> read_box_tracks(const std::filesystem::path& box_file,
                                       const std::vector<SequenceHeaderFrame>& loaded_frames,
                                       const std::vector<SequenceHeaderFrame>& all_frames);
 
-/// Reads the scans of all frames. The poses of the frames must be set before. Estimates
-/// unknown beams from the points. Undoes motion compensation, unless the user sets
-/// dataset.poses=none, because the true poses are then unknown.
+/// Reads the scans of all frames from files, as the other read_scans() does. Estimates
+/// missing units.
 /// @param scan_files  [frames] scan file of each frame
-void read_scans(LidarSequence& sequence, const SequenceHeader& sequence_header,
+void read_scans(LidarSequence& sequence, const ScanLayout& layout, PointFileUnits units,
                 const std::vector<std::filesystem::path>& scan_files, const DatasetOptions& options);
 
 }  // namespace relidar::folder

@@ -43,7 +43,7 @@ public:
 /// Reads the scans of all frames. The poses of the frames must be set before. Estimates
 /// unknown beams from the points. Undoes motion compensation, unless the user sets
 /// dataset.poses=none, because the true poses are then unknown.
-void read_scans(LidarSequence& sequence, const SequenceHeader& sequence_header,
-                const ScanProvider& scan_provider, const DatasetOptions& options);
+void read_scans(LidarSequence& sequence, const ScanLayout& layout, const ScanProvider& scan_provider,
+                const DatasetOptions& options);
 
 }  // namespace relidar::folder

@@ -59,41 +59,41 @@ std::vector<PointTable> read_sample_images(const std::vector<fs::path>& scan_fil
 }
 
 /// Ignores the times of the points, with a note, if they have lost their precision.
-void ignore_coarse_times(SequenceHeader& head, const std::vector<PointTable>& samples, Notes& notes) {
+void ignore_coarse_times(PointFileUnits& units, const std::vector<PointTable>& samples, Notes& notes) {
     constexpr double kSweep_s = 0.1;
     for (const PointTable& cloud : samples) {
         const auto range = find_time_range(cloud);
-        if (!range || head.units.ignore_times) continue;
+        if (!range || units.ignore_times) continue;
         const auto [first, last] = *range;
         const double resolution = find_time_resolution(cloud),
-                     span = last > first ? last - first : kSweep_s / head.units.time_unit_s;
-        head.units.ignore_times = is_coarse_time(resolution, span);
-        if (head.units.ignore_times) notes.push_back(describe_coarse_times(last, resolution));
+                     span = last > first ? last - first : kSweep_s / units.time_unit_s;
+        units.ignore_times = is_coarse_time(resolution, span);
+        if (units.ignore_times) notes.push_back(describe_coarse_times(last, resolution));
     }
 }
 
 }  // namespace
 
-void estimate_missing_point_units(SequenceHeader& sequence_header, const std::vector<fs::path>& scan_files,
+void estimate_missing_point_units(PointFileUnits& units, const std::vector<fs::path>& scan_files,
                                   Notes& notes) {
-    std::vector<PointTable> samples = read_sample_tables(scan_files, sequence_header.units.columns);
-    for (PointTable& cloud : samples) unwrap_point_times(cloud, !sequence_header.units.absolute_times);
+    std::vector<PointTable> samples = read_sample_tables(scan_files, units.columns);
+    for (PointTable& cloud : samples) unwrap_point_times(cloud, !units.absolute_times);
     PointFieldSemantics meaning = interpret_point_fields(samples);
-    ignore_coarse_times(sequence_header, samples, notes);
+    ignore_coarse_times(units, samples, notes);
     if (samples.empty()) {
         const std::vector<PointTable> images = read_sample_images(scan_files);
-        ignore_coarse_times(sequence_header, images, notes);
+        ignore_coarse_times(units, images, notes);
         std::vector<double> intensities;
         for (const PointTable& image : images)
             if (const PointFieldView* field = image.find_field("intensity"))
                 for (std::size_t i = 0; i < image.n; ++i) intensities.push_back((*field)[i]);
-        if (!sequence_header.units.intensity_max) meaning.scale = estimate_intensity_scale(intensities);
+        if (!units.intensity_max) meaning.scale = estimate_intensity_scale(intensities);
     }
-    sequence_header.units.intensity_field = meaning.intensity_field;
-    sequence_header.units.no_return = meaning.no_return;
-    sequence_header.units.returns = meaning.returns;
-    if (!sequence_header.units.intensity_max && meaning.scale.is_sure && meaning.scale.max > 1.0) {
-        sequence_header.units.intensity_max = meaning.scale.max;
+    units.intensity_field = meaning.intensity_field;
+    units.no_return = meaning.no_return;
+    units.returns = meaning.returns;
+    if (!units.intensity_max && meaning.scale.is_sure && meaning.scale.max > 1.0) {
+        units.intensity_max = meaning.scale.max;
         notes.push_back(meaning.scale.about +
                         "; set the key \"intensity_max\" in sequence.json to use another scale");
     }

@@ -10,13 +10,12 @@
 
 namespace relidar::folder {
 
-/// number of scans per LiDAR that are used to estimate units and beams
+/// Number of scans per LiDAR that are used to estimate units and beams.
 inline constexpr std::size_t kSampleScans = 6;
 
-/// Estimates the units that are missing in sequence.json, from the points of some scans.
-/// If several intensity scales are possible, sets none. Intensities above 1 are then an
-/// error.
-void estimate_missing_point_units(SequenceHeader& sequence_header,
-                                  const std::vector<std::filesystem::path>& scan_files, Notes& notes);
+/// Estimates the units that are not known, from the points of some scans. If several
+/// intensity scales are possible, sets none. Intensities above 1 are then an error.
+void estimate_missing_point_units(PointFileUnits& units, const std::vector<std::filesystem::path>& scan_files,
+                                  Notes& notes);
 
 }  // namespace relidar::folder

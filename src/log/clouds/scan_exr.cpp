@@ -90,7 +90,8 @@ Scan read_scan_exr(const std::filesystem::path& file, const ScanImageContext& im
         return make_scan_from_arrays(where, std::move(arrays), image_context);
     const Lidar lidar = fill_missing_sensor_from_image(image_context.lidar, image);
     return make_scan_from_arrays(where, std::move(arrays),
-                                 {image_context.head, image_context.of_head, lidar, image_context.time_s});
+                                 {image_context.units, image_context.motion_compensated,
+                                  image_context.lowest_first, lidar, image_context.time_s});
 }
 
 }  // namespace relidar::folder

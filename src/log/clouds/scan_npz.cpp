@@ -158,7 +158,7 @@ void reverse_image_rows(std::vector<NamedArray>& arrays, std::size_t n_rows) {
 /// Reads the times, rings and divergences of the rays, if the file contains them.
 void set_ray_fields_that_exist(const ScanNpzArrays& arrays, const ScanImageContext& image_context,
                                RayTable& rays) {
-    const PointFileUnits& units = image_context.head.units;
+    const PointFileUnits& units = image_context.units;
     const std::size_t n = rays.size();
     if (arrays.find_optional_array("time") && !units.ignore_times) {
         const std::vector<double> time = arrays.get_ray_values("time", 1);
@@ -195,9 +195,8 @@ RayTable make_rays_from_stored_directions(const ScanNpzArrays& arrays) {
 
 }  // namespace
 
-void require_deskewing_declared_in_header(bool are_points_deskewed, const SequenceHeader& sequence_header,
-                                          const std::string& error_location) {
-    if (are_points_deskewed && !sequence_header.motion_compensated)
+void require_declared_deskewing(bool is_deskewed, bool is_declared, const std::string& error_location) {
+    if (is_deskewed && !is_declared)
         fail(
             "{}: the points are motion-compensated or in the world frame, but sequence.json does not say so; "
             "set \"motion_compensated\": true in sequence.json, or render the scans again without --deskew "
@@ -236,16 +235,15 @@ std::uint16_t convert_ring_number(double file_value, const std::string& error_lo
 
 Scan make_scan_from_arrays(const std::string& error_location, std::vector<NamedArray> stored_arrays,
                            const ScanImageContext& image_context) {
-    const SequenceHeader& head = image_context.head;
     const bool has_rays = find_array(stored_arrays, "directions") != nullptr;
     const NamedArray* range = find_array(stored_arrays, "range");
-    if (!has_rays && image_context.of_head.lowest_first && range && range->shape.size() == 2)
+    if (!has_rays && image_context.lowest_first && range && range->shape.size() == 2)
         reverse_image_rows(stored_arrays, range->shape[0]);
     const ScanNpzArrays arrays(error_location, std::move(stored_arrays));
     const NamedArray* deskewed = arrays.find_optional_array("deskewed");
-    require_deskewing_declared_in_header(
-        deskewed && deskewed->count_array_elements() == 1 && deskewed->convert_to_floats()[0] != 0.0f, head,
-        arrays.get_error_location());
+    require_declared_deskewing(
+        deskewed && deskewed->count_array_elements() == 1 && deskewed->convert_to_floats()[0] != 0.0f,
+        image_context.motion_compensated, arrays.get_error_location());
     Scan scan;
     scan.rays = has_rays ? make_rays_from_stored_directions(arrays)
                          : make_sensor_rays_matching_scan_arrays(arrays, image_context);
@@ -255,13 +253,13 @@ Scan make_scan_from_arrays(const std::string& error_location, std::vector<NamedA
     const std::vector<float> range_m =
         read_ranges(arrays, arrays.find_optional_array("median_range") ? "median_range" : "range");
     scan.range_m = to_scan_array(range_m);
-    scan.intensity = to_scan_array(read_intensities(arrays, "intensity", range_m, head.units));
+    scan.intensity = to_scan_array(read_intensities(arrays, "intensity", range_m, image_context.units));
     scan.classes = to_scan_array(read_ray_classes(arrays, range_m));
     for (std::size_t number = 2;
          number <= kMostReturns && arrays.find_optional_array(fmt::format("range_{}", number)); ++number) {
         AdditionalReturns echo{read_ranges(arrays, fmt::format("range_{}", number)), {}};
         echo.intensity =
-            read_intensities(arrays, fmt::format("intensity_{}", number), echo.range_m, head.units);
+            read_intensities(arrays, fmt::format("intensity_{}", number), echo.range_m, image_context.units);
         scan.second_returns.push_back(std::move(echo));
     }
     return scan;
@@ -269,6 +267,11 @@ Scan make_scan_from_arrays(const std::string& error_location, std::vector<NamedA
 
 Scan read_scan_npz(const std::filesystem::path& file, const ScanImageContext& image_context) {
     return make_scan_from_arrays(file.string(), read_npz(file), image_context);
+}
+
+Scan read_scan_image(const std::filesystem::path& file, const ScanImageContext& image_context) {
+    return file.extension() == ".exr" ? read_scan_exr(file, image_context)
+                                      : read_scan_npz(file, image_context);
 }
 
 void write_scan_npz(const std::filesystem::path& file, const Scan& scan, bool motion_compensated) {

@@ -16,8 +16,9 @@ namespace relidar::folder {
 /// Known properties of the LiDAR and the frame of an image file. They replace values that
 /// the file does not contain.
 struct ScanImageContext {
-    const SequenceHeader& head;
-    const SequenceHeaderLidar& of_head;  ///< the LiDAR as described in sequence.json
+    const PointFileUnits& units;
+    bool motion_compensated;  ///< what sequence.json says of all scans
+    bool lowest_first;        ///< true if row 0 is the lowest beam
     /// LiDAR that measured the image. Its sensor model defines the rays if the image file
     /// contains no ray directions.
     const Lidar& lidar;
@@ -33,6 +34,8 @@ Scan read_scan_npz(const std::filesystem::path& file, const ScanImageContext& im
 /// @throws DataError if the file is damaged, a channel is missing, or channel sizes
 /// differ
 Scan read_scan_exr(const std::filesystem::path& file, const ScanImageContext& image_context);
+/// Reads a scan from an npz file or an EXR image.
+Scan read_scan_image(const std::filesystem::path& file, const ScanImageContext& image_context);
 /// Creates a scan from the named arrays of an npz or EXR file.
 /// @param error_location  name of the file, for error messages
 Scan make_scan_from_arrays(const std::string& error_location, std::vector<NamedArray> arrays,
@@ -42,13 +45,11 @@ Scan make_scan_from_arrays(const std::string& error_location, std::vector<NamedA
 /// get the time 0.
 void write_scan_npz(const std::filesystem::path& file, const Scan& scan, bool motion_compensated);
 
-/// Throws if a scan file contains motion-compensated points, but sequence.json does not
-/// declare this.
-/// @param are_points_deskewed  true if the points of the scan file are motion-compensated
+/// @param is_deskewed  true if the points of a scan file are motion-compensated
 /// (deskewed) or in the world frame
-/// @throws DataError in this case
-void require_deskewing_declared_in_header(bool are_points_deskewed, const SequenceHeader& sequence_header,
-                                          const std::string& error_location);
+/// @param is_declared  true if sequence.json says that all scans are motion-compensated
+/// @throws DataError if the points are motion-compensated and not declared so
+void require_declared_deskewing(bool is_deskewed, bool is_declared, const std::string& error_location);
 
 /// Scales an intensity from a file to the range 0 to 1.
 /// @throws DataError if it is not a number, or if it is outside 0 to 1 and sequence.json

@@ -321,14 +321,13 @@ void read_scans_of_frames(LidarSequence& sequence, const std::vector<fs::path>& 
                           PointFileFormat format, const DatasetOptions& options) {
     const StampedScanProvider source(sequence, scan_files, format);
     SpinningSensor& sensor = sequence.lidars[0].sensor;
-    folder::SequenceHeader head;
-    folder::SequenceHeaderLidar& of_head = head.lidars.emplace_back();
+    folder::ScanLayout layout{.lidars = {{.sweep_duration_s = format.sweep_duration_s}}};
     if (!format.beams.empty()) {
         if (auto fitted = fit_nominal_sensor(read_sample_scans(source, scan_files.size()), format)) {
             fitted->name = sensor.name;
             fitted->max_range_m = sensor.max_range_m;
             sensor = std::move(*fitted);
-            of_head.has_beams = true;
+            layout.lidars[0].has_beams = true;
             sequence.notes.push_back(
                 fmt::format("a sensor with {} beams and {} columns was fitted to the points, which have no "
                             "rings; each point is assigned to the nominal beam with the nearest elevation",
@@ -339,12 +338,7 @@ void read_scans_of_frames(LidarSequence& sequence, const std::vector<fs::path>& 
             format.beams.clear();
         }
     }
-    head.name = sequence.name;
-    head.units = format.units;
-    of_head.lidar = sequence.lidars[0];
-    of_head.is_guessed = true;
-    of_head.sweep_duration_s = format.sweep_duration_s;
-    folder::read_scans(sequence, head, source, options);
+    folder::read_scans(sequence, layout, source, options);
 }
 
 DatasetIntensityScale estimate_dataset_intensity_scale(const std::vector<fs::path>& scan_files,

@@ -57,14 +57,10 @@ public:
         group_clouds_into_frames();
         add_lidars_to_sequence();
         add_frames_to_sequence();
-        folder::SequenceHeader head;
-        head.name = sequence_.name;
+        folder::ScanLayout layout{.motion_compensated = is_deskewed_ && !has_poses_};
         for (std::size_t l = 0; l < sequence_.lidars.size(); ++l) {
-            head.lidars.emplace_back().lidar = sequence_.lidars[l];
-            head.lidars.back().is_guessed = true;
-            head.lidars.back().has_beams = !sequence_.lidars[l].sensor.beams.empty();
-            head.motion_compensated =
-                head.motion_compensated || lidars_[l].units.is_deskewed || (is_deskewed_ && !has_poses_);
+            layout.lidars.push_back({.has_beams = !sequence_.lidars[l].sensor.beams.empty()});
+            layout.motion_compensated |= lidars_[l].units.is_deskewed;
         }
         DatasetOptions options = options_;
         if (!sequence_.has_poses) options.poses_file = kNoPoses;
@@ -74,7 +70,7 @@ public:
                 const Pose pose = compute_vehicle_pose_in_bag_world(t_s);
                 return clouds_.lidars.size() > 1 ? pose * sequence_.lidars[lidar].vehicle_from_sensor : pose;
             };
-        folder::read_scans(sequence_, head,
+        folder::read_scans(sequence_, layout,
                            BagScanProvider(bag_, lidars_, frames_, poses_.clock, deskewed_by), options);
         if (!has_poses_) return std::move(sequence_);
         const auto vehicle_pose_in_log_world = [&](double t_s) -> std::optional<Pose> {

@@ -50,12 +50,11 @@ std::vector<SequenceHeaderFrame> select_requested_frames(const folder::SequenceH
 /// Returns the points of an image file in the frame of the LiDAR.
 std::vector<glm::vec3> read_points_of_image(const folder::SequenceHeader& sequence_header,
                                             const SequenceHeaderFrame& frame) {
-    folder::SequenceHeader header = sequence_header;
-    header.units.intensity_max = 1.0;  // any scale works, because the intensities are ignored here
-    const folder::SequenceHeaderLidar& lidar = header.lidars[std::size_t(frame.lidar)];
-    const folder::ScanImageContext context{header, lidar, lidar.lidar, frame.time_s};
-    const Scan scan = frame.scan.extension() == ".exr" ? folder::read_scan_exr(frame.scan, context)
-                                                       : folder::read_scan_npz(frame.scan, context);
+    folder::PointFileUnits units = sequence_header.units;
+    units.intensity_max = 1.0;  // any scale works, because the intensities are ignored here
+    const folder::SequenceHeaderLidar& lidar = sequence_header.lidars[std::size_t(frame.lidar)];
+    const Scan scan = folder::read_scan_image(frame.scan, {units, sequence_header.motion_compensated,
+                                                           lidar.lowest_first, lidar.lidar, frame.time_s});
     std::vector<glm::vec3> points;
     for (std::size_t i = 0; i < scan.range_m.size(); ++i)
         if (scan.range_m[i] > 0.0f) points.push_back(scan.compute_return_point_in_sensor_frame(i));
@@ -169,7 +168,9 @@ LidarSequence load_plain_folder(const fs::path& log_folder, const DatasetOptions
     if (head.world_offset_m && options.poses_file.empty())
         move_world_origin_of_log(sequence, *head.world_offset_m);
     else move_world_origin_of_log(sequence);
-    folder::read_scans(sequence, head, files, options);
+    const folder::ScanLayout layout{
+        {head.lidars.begin(), head.lidars.end()}, head.motion_compensated, /*is_described=*/true};
+    folder::read_scans(sequence, layout, head.units, files, options);
     return sequence;
 }
 

@@ -334,22 +334,18 @@ private:
     void read_scans_of_point_files() {
         std::vector<fs::path> files;
         for (const FrameSweepRecord& frame : frames_) files.push_back(get_file_of_sweep(*frame.record));
-        folder::SequenceHeader head;
-        head.name = sequence_.name;
+        folder::PointFileUnits units;
         // The last column has no information: it is always 1 in Lyft's files and -1 in
         // T4's files.
-        if (!format_.has_times) head.units.columns = {"x", "y", "z", "intensity", "-"};
-        head.units.intensity_max = kMostIntensity;
-        head.units.time_unit_s = 1e-6;
-        head.units.absolute_times = true;
-        head.units.time_zero = double(scene_.lidars[0].sweeps[0].time_us);
-        for (const Lidar& lidar : sequence_.lidars) {
-            folder::SequenceHeaderLidar& of_head = head.lidars.emplace_back();
-            of_head.lidar = lidar;
-            of_head.is_guessed = true;
-            of_head.sweep_duration_s = format_.has_times ? step_s_ : kLyftRevolution_s;
-        }
-        folder::read_scans(sequence_, head, files, options_);
+        if (!format_.has_times) units.columns = {"x", "y", "z", "intensity", "-"};
+        units.intensity_max = kMostIntensity;
+        units.time_unit_s = 1e-6;
+        units.absolute_times = true;
+        units.time_zero = double(scene_.lidars[0].sweeps[0].time_us);
+        const folder::LidarScanLayout lidar{.sweep_duration_s =
+                                                format_.has_times ? step_s_ : kLyftRevolution_s};
+        folder::read_scans(sequence_, {.lidars = std::vector(sequence_.lidars.size(), lidar)}, units, files,
+                           options_);
     }
 };
 
