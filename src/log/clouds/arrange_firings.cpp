@@ -10,21 +10,18 @@
 namespace relidar {
 namespace {
 
-// Number of azimuth steps per revolution to which the head azimuth is rounded. A step is
-// 0.0055 degrees.
+// Azimuth steps per revolution to which the head azimuth is rounded (0.0055 degrees).
 constexpr int kTicks = 1 << 16;
-// A revolution may lack this many firings (shots of all lasers at one azimuth). If more
-// are missing, firings without returns are appended.
+// If more firings are missing in a revolution, firings without returns are appended.
 constexpr int kMostMissing = 8;
 
-/// Returns the azimuth of the LiDAR's head for each firing (all lasers at one azimuth).
 /// Interpolates firings without points between their neighbours.
 std::map<int, double> compute_head_azimuth_per_firing(const LidarPoints& points,
                                                       const std::vector<int>& firing_numbers,
                                                       const SpinningSensor& sensor, double azimuth_step_rad) {
     const std::vector<BeamRayGenerator> beams = make_beam_ray_generators(sensor.beams);
     // For each firing: sum of exp(i d) over its points. d is the head azimuth minus the
-    // azimuth at a constant rotation rate. The angle of the sum is the mean of d.
+    // azimuth at a constant rotation rate.
     std::map<int, std::complex<double>> sums;
     for (std::size_t i = 0; i < points.size(); ++i)
         sums[firing_numbers[i]] +=
@@ -42,8 +39,7 @@ std::map<int, double> compute_head_azimuth_per_firing(const LidarPoints& points,
     return heads;
 }
 
-/// Adds firings without returns at the end of a revolution, until the circle or the range
-/// image is full. Assumes that the head rotates at a constant rate.
+/// Adds firings until the circle or the range image is full, at a constant rotation rate.
 /// @param n_image_columns  number of columns of the range image; 0 if unknown
 void append_firings_without_returns_at_end(std::map<int, double>& azimuth_by_firing, int n_image_columns,
                                            double azimuth_step_rad) {

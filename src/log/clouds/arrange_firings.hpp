@@ -12,25 +12,18 @@ namespace relidar {
 
 /// Assigns each point to a firing (LidarPoints::firing). Sorts the firings by the mean
 /// head azimuth of their points. Two firings with the same azimuth stay separate, because
-/// a sweep may be longer than one revolution.
-///
-/// Some firings have no points, for example where the vehicle blocks all beams. Their
-/// deviation from a constant rotation is interpolated between the neighbouring firings.
-/// At the end of the turn, adds firings without points until the circle or the image is
-/// full. All rays of a firing without points are dropped rays.
-/// @param points  points with rings, at least one
-/// @param firing_numbers  [points] firing number of each point; the numbers increase
-/// with time
+/// a sweep may be longer than one revolution. The azimuths of firings without points are
+/// interpolated. At the end of the turn, adds firings without points until the circle or
+/// the image is full.
+/// @param firing_numbers  [points] firing number of each point; the numbers increase with
+/// time
 /// @param azimuth_step_rad  azimuth step between firings at a constant rotation rate;
 /// negative for a head that rotates clockwise
 SweepFirings estimate_sweep_and_assign_firings(LidarPoints& points, const std::vector<int>& firing_numbers,
                                                const SpinningSensor& sensor, double azimuth_step_rad);
 
-/// Assigns each point to its firing (one shot of all lasers). Sorts the firings by
-/// decreasing azimuth of the LiDAR's head.
-/// @param firing_numbers  [points] number of the firing that measured each point
-/// @param head_azimuth_by_firing  head azimuth in radians for each firing number, also
-/// for firings without points
+/// Assigns each point to its firing. Sorts the firings by decreasing azimuth of the head.
+/// @param head_azimuth_by_firing  radians for each firing number, also without points
 SweepFirings sort_firings_by_azimuth_and_assign_points(LidarPoints& points,
                                                        const std::vector<int>& firing_numbers,
                                                        const std::map<int, double>& head_azimuth_by_firing);

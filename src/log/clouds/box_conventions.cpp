@@ -17,26 +17,24 @@ namespace relidar::folder {
 namespace {
 
 // A box belongs to the vehicle if it contains a LiDAR in this share of its poses. The
-// LiDAR may be above the box by the given height. Buildings are longer than vehicles.
+// LiDAR may be above the box by the given height. Buildings are longer.
 constexpr double kShareAroundVehicle = 0.9, kAboveVehicle_m = 1.0, kLongestVehicle_m = 30.0;
 constexpr std::size_t kMaxFrames = 12, kMaxPoints = 30000;
-// Points of the lowest part of a box do not count, because the ground may be there.
+// The lowest part of a box does not count, because the ground may be there.
 constexpr double kGround_m = 0.3;
 // A box is turned only if its shape shows the direction of its length.
 constexpr double kElongated = 1.3, kShortestCar_m = 2.5;
-// Objects are isolated: the space around a box has fewer points than this share of the
-// points in the box.
+// The space around an isolated box has fewer points than this share of its points.
 constexpr double kShell_m = 0.5, kMostInShell = 0.5;
-// Largest number of points of a box in a scan that count, so that near boxes do not
-// outvote the others. A convention is better if the boxes gain at least kMinPoints points
-// in kMinViews scans, and several times the number of points that they lose.
+// Maximum number of points of a box in a scan that count, so that near boxes do not
+// outvote the others. A convention is better if boxes gain at least kMinPoints points in
+// kMinViews scans, and several times the number of points that they lose.
 constexpr std::size_t kMaxPerBox = 50, kMinPerBox = 5, kMinPoints = 100, kMinViews = 5;
 constexpr double kClearlyMore = 3.0;
-// The motion of boxes counts from pose to pose if it is at least this long.
 constexpr double kMinStep_m = 0.5, kMinPath_m = 5.0;
 
-/// Possible fault of boxes, which a correction reverts: moves the boxes up by half their
-/// height, turns them by 90 degrees, or mirrors y coordinates and yaw angles.
+/// Fault that a correction reverts: moves the boxes up by half their height, turns them
+/// by 90 degrees, or mirrors y coordinates and yaw angles.
 struct BoxFault {
     const char* description;
     bool is_bottom = false, is_turned = false, is_mirrored = false,
@@ -49,7 +47,6 @@ constexpr std::array<BoxFault, 4> kFaults{
      {"y and yaw seem to have the opposite sign in the world", false, false, true},
      {"y and yaw seem to have the opposite sign in the frame of the vehicle", false, false, true, true}}};
 
-/// Points that the boxes gain or lose with another convention.
 struct PointGain {
     std::size_t gained = 0, lost = 0, n_views = 0;
 
@@ -74,7 +71,6 @@ bool contains(const glm::dvec3& half_m, const glm::dvec3& local_m, double margin
            local_m.z >= kGround_m - half_m.z && local_m.z <= half_m.z;
 }
 
-/// Returns the pose of a box without a fault.
 /// @param world_from_frame  frame whose y axis is mirrored
 Pose correct_box(const Pose& world_from_box, double height_m, const Pose& world_from_frame,
                  const BoxFault& fault) {
@@ -86,8 +82,6 @@ Pose correct_box(const Pose& world_from_box, double height_m, const Pose& world_
     return world_from_frame * box;
 }
 
-/// Adds the points of a scan that a box gains and loses if it is corrected.
-/// @param points_m  points in the frame of the sensor
 void add_points_of_box(const std::vector<glm::dvec3>& points_m, const Pose& box_from_sensor,
                        const Pose& corrected_from_sensor, const glm::dvec3& half_m, const BoxFault& fault,
                        PointGain& gain) {
@@ -165,7 +159,6 @@ PointGains compare_points_in_boxes(const LidarSequence& sequence) {
     return sum;
 }
 
-/// Motion of all boxes along their longer and their shorter side, in metres.
 struct BoxMotion {
     double long_m = 0.0, short_m = 0.0;
     std::size_t n_wider = 0, n_boxes = 0;  ///< elongated boxes that are wider than long, and all

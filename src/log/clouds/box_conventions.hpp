@@ -9,13 +9,13 @@
 
 namespace relidar::folder {
 
-/// Removes the boxes that contain a LiDAR or the vehicle's origin in nearly all their
-/// poses, and adds a note. Trackers and simulators label the recording vehicle itself.
+/// Removes boxes around a LiDAR or the vehicle's origin, with a note. Trackers and
+/// simulators label the recording vehicle itself.
 void remove_boxes_of_vehicle(LidarSequence& sequence);
 
-/// Returns the probable fault of the boxes, with the evidence. Compares the points in the
+/// Returns the probable fault of the boxes, or an empty text. Compares the points in the
 /// boxes with the points in boxes of other conventions, and the motion of the boxes with
-/// their longer side. Returns an empty text if no other convention is clearly better.
+/// their longer side.
 std::string describe_box_fault(const LidarSequence& sequence);
 
 }  // namespace relidar::folder

@@ -14,15 +14,13 @@
 
 namespace relidar {
 
-/// Collects the errors of scans that cannot be read. A scan is identified by the index of
-/// its frame or file.
+/// Errors of scans, which are identified by the index of their frame or file.
 class ScanErrorCollector {
 public:
     explicit ScanErrorCollector(bool skip) : skip_(skip) {}
 
-    /// Calls `read_scan_part`, which reads a part of scan `scan_index`. If
-    /// `read_scan_part` throws, stores the error and skips this scan in later calls.
-    /// Several threads can call this function at the same time.
+    /// Calls `read_scan_part` unless an earlier part of the scan was broken. Stores its
+    /// error. Several threads can call this function at the same time.
     /// @throws DataError from `read_scan_part`, unless the user allows broken scans
     template <class Step>
     void call_and_record_scan_errors(std::size_t scan_index, const Step& read_scan_part) {
@@ -38,19 +36,16 @@ public:
     }
 
     bool is_scan_broken(std::size_t scan_index) const;
-    /// Marks a scan as broken, so that it is skipped even without dataset.skip_broken.
-    /// Used for truncated scans, because their missing points would look like rays
-    /// without a return.
+    /// Marks a scan as broken, even without dataset.skip_broken. Used for truncated
+    /// scans, because their missing points would look like rays without a return.
     void record_broken_scan(std::size_t scan_index, const std::string& reason);
     std::size_t size() const { return reasons_.size(); }
 
-    /// Adds a note for the user about each broken scan.
-    /// @param n_scans  total number of scans
+    /// Adds a note about each broken scan.
     /// @throws DataError if all scans are broken
     void note_broken_scans_or_throw_if_all_broken(LidarSequence& sequence, std::size_t n_scans) const;
-    /// Removes the frames of broken scans, and the vehicle poses that only these frames
-    /// use. Adds a note for the user about each broken scan. Requires that each recorded
-    /// scan index is an index in `sequence.frames`.
+    /// Removes the frames of broken scans, and the poses that only they use. Adds notes.
+    /// The indices of scans must be indices in `sequence.frames`.
     /// @throws DataError if all scans are broken
     void remove_broken_frames(LidarSequence& sequence) const;
 

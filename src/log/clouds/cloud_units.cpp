@@ -13,16 +13,15 @@
 namespace relidar::bag {
 namespace {
 
-// A unit of point times (such as ms) is accepted only if (cloud duration / time between
-// clouds) is within these limits.
+// A unit is accepted only if (cloud duration / time between clouds) is within these
+// limits.
 constexpr double kLeastSpan = 0.05, kMostSpan = 3.0;
-// Maximum difference between the time of a point and the time stamp of its cloud message.
+// Maximum difference between the time of a point and the stamp of its cloud.
 constexpr double kBesideStamp_s = 2.0;
-// Clouds can be parts of a sweep that takes this time. Their offsets are in the sweep.
 constexpr double kLeastSweep_s = 0.1;
 constexpr double kMostClouds = 0.8;  // minimum share of the clouds that must agree
-// Equal times of all points that can only be in steps above this value, in any unit, were
-// probably times in seconds.
+// Equal times of all points that can only be in steps above this value were probably
+// seconds.
 constexpr double kLargestStep = 16.0;
 
 struct TimeUnit {
@@ -36,8 +35,6 @@ struct TimeRange {
     double resolution = 0.0;  ///< see find_time_resolution()
 };
 
-/// Returns the times of the first and the last point of each cloud. Skips clouds without
-/// point times.
 std::vector<TimeRange> list_point_time_ranges(const std::vector<folder::PointTable>& clouds,
                                               const std::vector<double>& cloud_stamps_s) {
     std::vector<TimeRange> ranges;
@@ -48,7 +45,7 @@ std::vector<TimeRange> list_point_time_ranges(const std::vector<folder::PointTab
     return ranges;
 }
 
-/// Returns true if point times advance from cloud to cloud like the stamps of the clouds.
+/// Returns true if point times advance from cloud to cloud like the stamps.
 bool do_times_follow_stamps(const std::vector<TimeRange>& ranges, double time_unit_s) {
     std::size_t n_like_stamps = 0;
     for (std::size_t k = 1; k < ranges.size(); ++k) {
@@ -59,8 +56,7 @@ bool do_times_follow_stamps(const std::vector<TimeRange>& ranges, double time_un
     return 2 * n_like_stamps + 1 > ranges.size();
 }
 
-/// Returns true if the first times of some clouds differ by more than a sweep. Then they
-/// are no offsets from stamps, but for example times within a second.
+/// Then times are no offsets from stamps, but for example times within a second.
 bool do_first_times_differ(const std::vector<TimeRange>& ranges, double time_unit_s, double sweep_s) {
     std::vector<double> first_s;
     for (const TimeRange& range : ranges) first_s.push_back(range.first * time_unit_s);
@@ -72,7 +68,6 @@ bool do_first_times_differ(const std::vector<TimeRange>& ranges, double time_uni
 
 PointTimeReference find_reference_of_point_times(const std::vector<TimeRange>& time_ranges,
                                                  double time_unit_s, double sweep_s) {
-    // Some of the clouds can have wrong times.
     const auto most = [&](auto test) {
         return double(std::ranges::count_if(time_ranges, test)) >= kMostClouds * double(time_ranges.size());
     };
@@ -93,8 +88,7 @@ PointTimeReference find_reference_of_point_times(const std::vector<TimeRange>& t
     return PointTimeReference::sensor_clock;
 }
 
-/// Returns true if the times cannot resolve a sweep. Equal times of all points of a cloud
-/// are precise if they are close to the stamps, or if they are small.
+/// Equal times of all points are precise if they are close to the stamps, or small.
 bool have_times_lost_precision(const std::vector<TimeRange>& ranges, double span, double cloud_interval_s) {
     const TimeRange& cloud = ranges[ranges.size() / 2];
     if (span > 0.0) return folder::is_coarse_time(cloud.resolution, span);
@@ -113,7 +107,6 @@ bool have_times_lost_precision(const std::vector<TimeRange>& ranges, double span
                           (!is_constant && folder::is_coarse_time(cloud.resolution, cloud_interval_s))));
 }
 
-/// Returns a text for the user that says at which moment the times of points are 0.
 const char* describe_point_time_reference(PointTimeReference reference) {
     if (reference == PointTimeReference::stamp) return "the times are relative to the stamp of the cloud";
     if (reference == PointTimeReference::epoch)

@@ -10,30 +10,25 @@
 
 namespace relidar::bag {
 
-/// Defines the moment at which the point times of a cloud are 0.
+/// Moment at which the point times of a cloud are 0.
 enum class PointTimeReference {
     none,   ///< unknown, because the points have no usable times
     stamp,  ///< offsets from the cloud's stamp
     epoch,  ///< zero of the clock that also gives the message stamps
-    /// Point times count from an unknown moment at which the sensor's clock started. So
-    /// the first point of each cloud gets the time stamp of the cloud's message.
+    /// Unknown start of the sensor's clock. The first point of each cloud gets the stamp.
     sensor_clock
 };
 
 struct PointCloudUnits {
     PointTimeReference zero = PointTimeReference::none;
     double time_unit_s = 1.0;
-    /// True if all points of a cloud have the same time, because they were
-    /// motion-compensated to this time.
+    /// True if all points of a cloud were motion-compensated to the same time.
     bool is_deskewed = false;
     folder::PointFieldSemantics meaning;
     std::string about;  ///< text about the point times for the user, stored in the notes of the log
 };
 
-/// Estimates the units of point times and intensities from some clouds.
-/// @param clouds  some clouds of the topic
 /// @param cloud_stamps_s  [clouds] time stamp of each cloud in seconds
-/// @param cloud_interval_s  time between clouds in seconds
 PointCloudUnits estimate_time_and_intensity_units(const std::vector<folder::PointTable>& clouds,
                                                   const std::vector<double>& cloud_stamps_s,
                                                   double cloud_interval_s);

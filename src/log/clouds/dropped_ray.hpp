@@ -9,15 +9,14 @@
 
 namespace relidar {
 
-/// Minimum range of a return. A nearer point has no reliable direction.
+/// A nearer point has no reliable direction.
 inline constexpr float kNearestReturn_m = 1e-3f;
 
-/// Returns true if a range belongs to a return. Files store rays without a return with
-/// the range 0, NaN, infinity, or a negative value.
+/// Files store rays without a return with the range 0, NaN, infinity, or a negative
+/// value.
 inline bool is_valid_return_range(double range_m) { return std::isfinite(range_m) && range_m > 0.0; }
 
-/// Returns true if a point is a return. Files store rays without a return as points at
-/// the sensor, or with NaN or infinite coordinates.
+/// Files store rays without a return at the sensor, or with NaN or infinite coordinates.
 template <class Vector>
 bool is_valid_return_point(const Vector& point_m) {
     return std::isfinite(point_m.x) && std::isfinite(point_m.y) && std::isfinite(point_m.z) &&

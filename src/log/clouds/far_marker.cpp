@@ -10,12 +10,11 @@
 namespace relidar {
 namespace {
 
-// Ranges are treated as equal if their relative difference is smaller than this.
+// relative difference of equal ranges
 constexpr float kSameRange = 1e-5f;
 // The maximum range of a sensor is assumed to be a multiple of this length.
 constexpr float kRound_m = 0.5f;
-// Some drivers store dropped rays as points at the maximum range. This is assumed only if
-// the share of points at the maximum range is in this interval.
+// Limits of the share of points at the maximum range.
 constexpr double kLeastShare = 0.005, kMostShare = 0.95;
 constexpr std::size_t kFewest = 64;     // minimum number of returns that have the largest range
 constexpr std::size_t kFewestRows = 2;  // minimum number of beams with a return at the largest range
@@ -25,8 +24,6 @@ bool are_ranges_nearly_equal(float first_range_m, float second_range_m) {
     return std::abs(first_range_m - second_range_m) <= kSameRange * second_range_m;
 }
 
-/// The returns of a LiDAR at its largest range. They may be false returns that stand for
-/// dropped rays.
 struct MaxRangeReturns {
     float range_m = 0.0f;
     std::size_t n = 0, n_all = 0;

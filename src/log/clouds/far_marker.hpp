@@ -7,12 +7,10 @@
 
 namespace relidar {
 
-/// Finds returns that stand for dropped rays, because their range is the maximum range of
-/// the LiDAR. Turns them into dropped rays and adds a note to the log. Real ranges have
-/// noise. The largest range of the log stands for dropped rays if three conditions hold:
-/// many returns have exactly this range, it is a multiple of half a metre, and other
-/// returns are nearer.
-/// a multiple of half a metre, and other returns are nearer.
+/// Turns returns at the maximum range of a LiDAR into dropped rays and adds a note. Real
+/// ranges have noise. The largest range of the log stands for dropped rays if many
+/// returns have exactly this range, it is a multiple of half a metre, and other returns
+/// are nearer.
 void remove_returns_that_mark_dropped_rays(LidarSequence& sequence);
 
 }  // namespace relidar

@@ -12,21 +12,16 @@
 namespace relidar::folder {
 namespace {
 
-// Within a ring, the azimuth can jump back by at most this angle. A larger jump back
-// means that the next ring begins.
+// Within a ring, the azimuth can jump back by at most this angle.
 constexpr double kBack_rad = 3.0 * kPi / 180.0;
-// If the points of a file are in the order of rotation, at least this share of azimuth
-// steps has the same sign.
+// Share of azimuth steps with the same sign in files in the order of rotation.
 constexpr double kMinSameSignFraction = 0.9;
-// The search for the start of the rings uses only every fourth point.
 constexpr std::size_t kStride = 4;
 constexpr std::size_t kFewestRings = 4, kMostOrderedRings = 256;
-// If the rings are sorted by elevation, at least this share of the steps from ring to
-// ring has the same sign.
+// Share of elevation steps from ring to ring with the same sign, if rings are sorted.
 constexpr double kSorted = 0.9;
 // Points are in the correct rings if the median elevation difference between a point and
-// its ring is small: below this fraction of the median elevation step between
-// neighbouring rings.
+// its ring is below this fraction of the step between rings.
 constexpr double kInRing = 0.5;
 
 double compute_point_azimuth_rad(const glm::vec3& point) {
@@ -36,8 +31,8 @@ double compute_point_elevation_rad(const glm::vec3& point) {
     return std::atan2(double(point.z), std::hypot(double(point.x), double(point.y)));
 }
 
-/// Returns the direction of rotation: 1 if the azimuth increases from point to point, -1
-/// if it decreases. Returns nothing if the points are not in the order of rotation.
+/// Returns 1 if the azimuth increases from point to point, -1 if it decreases, and
+/// nothing if the points are not in the order of rotation.
 std::optional<double> estimate_rotation_sign(const LidarPoints& points) {
     std::size_t n_up = 0, n_down = 0;
     for (std::size_t i = 1; i < points.size(); ++i) {
@@ -53,8 +48,7 @@ std::optional<double> estimate_rotation_sign(const LidarPoints& points) {
     return std::nullopt;
 }
 
-/// Returns the azimuth of each point without jumps at full turns, counted from the start
-/// of the file.
+/// Returns azimuths without jumps at full turns.
 std::vector<double> unwrap_point_azimuths(const LidarPoints& points, double rotation_sign) {
     std::vector<double> turned;
     turned.reserve(points.size());
@@ -71,9 +65,8 @@ std::vector<double> unwrap_point_azimuths(const LidarPoints& points, double rota
     return turned;
 }
 
-/// Returns the revolution number of each point, from 0: how often the azimuth has passed
-/// `start_azimuth_rad` before this point. In files that store one ring after another,
-/// this is the number of the ring.
+/// Returns how often the azimuth has passed `start_azimuth_rad` before each point. In
+/// files that store one ring after another, this is the number of the ring.
 std::vector<std::uint16_t> compute_revolution_numbers(const std::vector<double>& unwrapped_azimuths_rad,
                                                       double start_azimuth_rad) {
     std::vector<std::uint16_t> revolution_numbers;
@@ -83,16 +76,15 @@ std::vector<std::uint16_t> compute_revolution_numbers(const std::vector<double>&
         first_revolution = std::min(first_revolution, std::floor((t - start_azimuth_rad) / (2.0 * kPi)));
     int last = 0;
     for (const double t : unwrapped_azimuths_rad) {
-        // Ring numbers never decrease. Otherwise rounding errors could put the first
-        // point of a ring into the previous ring.
+        // Never decreases, because of rounding errors at the first point of a ring.
         last = std::max(last, int(std::floor((t - start_azimuth_rad) / (2.0 * kPi)) - first_revolution));
         revolution_numbers.push_back(std::uint16_t(std::min(last, int(kMostOrderedRings))));
     }
     return revolution_numbers;
 }
 
-/// Returns the median elevation of each ring. Uses only the farther half of its points.
-/// Near points are less accurate, because beams start beside the sensor origin.
+/// Uses only the farther half of the points, because beams start beside the sensor
+/// origin.
 std::vector<double> compute_median_ring_elevations(const LidarPoints& points,
                                                    const std::vector<std::uint16_t>& ring_of_point) {
     std::vector<std::vector<std::pair<float, double>>> samples_by_ring;  // range and elevation
@@ -117,7 +109,7 @@ std::vector<double> compute_median_ring_elevations(const LidarPoints& points,
     return elevations;
 }
 
-/// Returns the median of |elevation of a point - elevation of its ring| over all points.
+/// Returns the median of |elevation of a point - elevation of its ring|.
 double compute_median_ring_elevation_error(const LidarPoints& points,
                                            const std::vector<std::uint16_t>& ring_of_point,
                                            const std::vector<double>& ring_elevations_rad) {
@@ -129,7 +121,6 @@ double compute_median_ring_elevation_error(const LidarPoints& points,
     return compute_median(off);
 }
 
-/// Returns the mean of |elevation of a point - elevation of its ring| over all points.
 /// Unlike the median, the mean increases even if only a few points are in a wrong ring.
 double compute_mean_ring_elevation_error(const LidarPoints& points,
                                          const std::vector<std::uint16_t>& ring_of_point,
@@ -141,8 +132,7 @@ double compute_mean_ring_elevation_error(const LidarPoints& points,
     return sum / double(points.size());
 }
 
-/// Returns the azimuth at which the rings of a file begin. Tests many azimuths and
-/// selects the one with the smallest deviation of points from their rings.
+/// Selects the azimuth with the smallest deviation of points from their rings.
 double find_ring_start_azimuth_rad(const LidarPoints& points,
                                    const std::vector<double>& unwrapped_azimuths_rad) {
     LidarPoints some;
@@ -170,8 +160,7 @@ double find_ring_start_azimuth_rad(const LidarPoints& points,
     return best_rad;
 }
 
-/// Returns true if the rings are sorted by elevation and clearly separated. In separated
-/// rings, most points are closer to the elevation of their ring than to other rings.
+/// In separated rings, most points are closer to their ring than to other rings.
 bool are_rings_sorted_and_separated(const LidarPoints& points,
                                     const std::vector<std::uint16_t>& ring_of_point,
                                     const std::vector<double>& ring_elevations_rad) {
@@ -207,8 +196,7 @@ RingOrderDetector::RingOrderDetector(const std::vector<LidarPoints>& scans) {
         const std::vector<std::uint16_t> ring =
             compute_revolution_numbers(unwrap_point_azimuths(scan, turning_), first_azimuth_rad_);
         std::vector<double> elevations = compute_median_ring_elevations(scan, ring);
-        // Keeps the scan with the most rings, because it is most likely to have returns
-        // of every beam.
+        // The scan with the most rings probably has returns of every beam.
         if (elevations.size() > elevation_rad_.size() &&
             are_rings_sorted_and_separated(scan, ring, elevations))
             elevation_rad_ = std::move(elevations);

@@ -11,19 +11,14 @@
 
 namespace relidar::folder {
 
-/// Detects ring numbers from the order in which the files of a LiDAR store the points.
 class RingOrderDetector {
 public:
-    /// Tests whether the files store their points one ring after another.
-    /// @param scans  some scans of the LiDAR
     explicit RingOrderDetector(const std::vector<LidarPoints>& scans);
-    /// Returns true if the constructor found at least 4 rings that are stored one after
-    /// another.
+    /// At least 4 rings are stored one after another.
     bool is_stored_ring_by_ring() const { return !elevation_rad_.empty(); }
     std::size_t n_rings() const { return elevation_rad_.size(); }
-    /// Sets the ring of each point. Ring 0 is the first ring in the files. If a scan has
-    /// fewer rings than other scans, each of its rings gets the number of the ring with
-    /// the nearest elevation.
+    /// Ring 0 is the first ring in the files. In a scan with fewer rings, each ring gets
+    /// the number of the ring with the nearest elevation.
     void assign_ring_numbers(LidarPoints& points) const;
 
 private:

@@ -23,13 +23,12 @@ namespace {
 
 constexpr double kLeastStep_rad = 2e-4;  // minimum azimuth step between two firings (about 0.01 degrees)
 constexpr double kLargestStep_rad = 0.2;
-// The first estimate of the number of columns per revolution may be wrong by this share.
+// The first estimate of the number of columns may be wrong by this share.
 constexpr double kColumnSearchMargin = 0.03;
-// Minimum coherence of the azimuths: 1 if the points of each ring are on a regular
-// azimuth grid, near 0 if they are not.
+// Minimum coherence: 1 if the points of each ring are on a regular azimuth grid.
 constexpr double kCoherent = 0.5;
-// A ring (row of points) can have more points than the estimated number of columns. The
-// estimate is then raised to the number of points, but at most by this factor.
+// A ring can have more points than the estimated number of columns. The estimate is then
+// raised to the number of points, but at most by this factor.
 constexpr double kMostColumns = 1.1;
 constexpr std::size_t kFewestSteps = 16;
 constexpr std::size_t kMostRings = 4096;
@@ -40,7 +39,6 @@ double compute_quantile_and_reorder(std::vector<double>& values, double fraction
     return *at;
 }
 
-/// Points of one ring, without second returns: their indices and azimuths.
 struct RingPoints {
     std::vector<std::size_t> point;
     std::vector<double> azimuth_rad;
@@ -58,9 +56,8 @@ RingPointLists group_points_by_ring(const LidarPoints& scan, std::size_t n_rings
     return rings;
 }
 
-/// Returns the median elevation of each ring, or nothing for a ring without points. Uses
-/// only the farther half of the points. Near points are less accurate, because beams
-/// start beside the sensor origin.
+/// Uses only the farther half of the points, because beams start beside the sensor
+/// origin.
 std::vector<std::optional<double>> estimate_ring_elevations(const std::vector<LidarPoints>& scans,
                                                             std::size_t n_rings) {
     struct RangeElevation {
@@ -87,9 +84,8 @@ std::vector<std::optional<double>> estimate_ring_elevations(const std::vector<Li
     return elevations;
 }
 
-/// Estimates the number of columns per revolution from the azimuth steps between
-/// neighbouring points of a ring. Uses the lower quartile of the steps, because steps
-/// across dropped rays are longer.
+/// Estimates the number of columns per revolution from the lower quartile of the azimuth
+/// steps, because steps across dropped rays are longer.
 int estimate_column_count(const LidarPoints& scan, const RingPointLists& rings) {
     std::vector<double> steps;
     for (const RingPoints& ring : rings) {
@@ -122,9 +118,8 @@ std::vector<std::complex<double>> sum_azimuth_phases_per_ring(const RingPointLis
     return sums;
 }
 
-/// Tests consecutive numbers of columns, starting with `first_column_count`. Returns for
-/// each number how well the azimuths in each ring fit a grid of so many columns. For a
-/// perfect fit, the value is the number of points.
+/// Returns for consecutive numbers of columns how well the azimuths in each ring fit a
+/// grid of so many columns. For a perfect fit, the value is the number of points.
 std::vector<double> compute_fit_score_per_column_count(const RingPointLists& rings, int first_column_count,
                                                        std::size_t n_counts_to_try) {
     std::vector<double> lengths(n_counts_to_try, 0.0);
@@ -148,7 +143,6 @@ std::vector<double> compute_fit_score_per_column_count(const RingPointLists& rin
 
 struct FiringColumnGrid {
     int columns = 0;
-    /// [rings] azimuth offset of each ring, at most half an azimuth step
     std::vector<double> offset_rad;
 };
 
@@ -160,8 +154,7 @@ FiringColumnGrid estimate_columns_and_ring_offsets(const LidarPoints& scan, cons
         compute_fit_score_per_column_count(rings, first, std::size_t(lattice.columns + reach + 1 - first));
     const auto best = std::ranges::max_element(lengths);
     if (*best <= kCoherent * double(scan.size())) {
-        // A ring has at most one first return per column, so there are at least as many
-        // columns as points in the fullest ring.
+        // There are at least as many columns as points in the fullest ring.
         std::size_t most = 0;
         for (const RingPoints& ring : rings) most = std::max(most, ring.point.size());
         lattice.columns = std::clamp(int(std::min<std::size_t>(most, kMaxRays)), lattice.columns,
@@ -177,8 +170,7 @@ FiringColumnGrid estimate_columns_and_ring_offsets(const LidarPoints& scan, cons
     return lattice;
 }
 
-/// Estimates the rotation rate of the LiDAR's head in radians per second, positive if
-/// counterclockwise. Returns nothing if the points have no times.
+/// Returns radians per second, positive if counterclockwise.
 std::optional<double> estimate_rotation_rate(const LidarPoints& scan, const RingPointLists& rings) {
     if (scan.time_offset_s.empty()) return std::nullopt;
     double turned = 0.0, passed_s = 0.0;

@@ -32,8 +32,7 @@ constexpr double kLargestOfHead = 1e12;   // maximum value of all lengths and ti
 constexpr double kFarthestWorld_m = 1e9;  // limit of the world's origin
 constexpr std::int64_t kMaxFrame = 99999999;
 constexpr std::size_t kMostFieldsOfPoint = 64;  // maximum number of fields of a point
-// A scan is missing if two scan numbers differ by this multiple of the smallest
-// difference.
+// A scan is missing if scan numbers differ by this multiple of the smallest difference.
 constexpr double kMissingScan = 1.5;
 
 std::string read_text_or(const JsonField& field, const std::string& key, const std::string& default_value,
@@ -53,8 +52,7 @@ std::vector<std::string> read_optional_text_list(const JsonField& field, const s
     return texts;
 }
 
-/// Reads a JSON text field and returns its index in `allowed_words`. Throws if the text
-/// is not in this list.
+/// Returns the index of a JSON text in `allowed_words`.
 std::size_t read_index_of_allowed_word(const JsonField& field,
                                        const std::vector<std::string>& allowed_words) {
     const auto at = std::find(allowed_words.begin(), allowed_words.end(), field.get_string());
@@ -71,8 +69,7 @@ glm::dquat read_quaternion(const JsonField& field) {
     if (std::abs(glm::length(rotation) - 1.0) > 1e-3)
         field.throw_field_error(fmt::format("found a quaternion of length {}", glm::length(rotation)),
                                 "expected a quaternion of length 1");
-    // Does not normalise the quaternion, because this would change its last digits. Small
-    // errors of its length are allowed.
+    // Does not normalise, because this would change the last digits.
     return rotation;
 }
 
@@ -92,11 +89,9 @@ Pose read_vehicle_from_sensor(const JsonField& field, const std::string& error_l
     return {read_quaternion(field.at("quaternion")), {t[0], t[1], t[2]}};
 }
 
-/// Sets the sensor of a LiDAR from the name of a built-in sensor or of a sensor file.
 void read_sensor_by_name_into_lidar(const JsonField& field, const fs::path& log_folder, bool must_spin,
                                     Lidar& lidar) {
     const std::string name = field.get_short_single_line_string(kLongestPath);
-    // maximum range, used if the sensor file does not contain one
     const double max_range_m = lidar.sensor.max_range_m;
     const auto is_file = [&](const char* ending) { return name.find(ending) != std::string::npos; };
     const auto find_model = [&] {
@@ -116,9 +111,8 @@ void read_sensor_by_name_into_lidar(const JsonField& field, const fs::path& log_
     set_nominal_sensor(lidar, model);
 }
 
-/// Reads the sensor of a LiDAR from {"<kind>": {...}}. A JSON object without a kind
-/// describes a spinning sensor. If its period_s is missing, sets the period to 0. The
-/// period is then estimated from the time between frames.
+/// Reads {"<kind>": {...}}, or a spinning sensor without a kind. Without period_s, the
+/// period is 0 and later estimated from the time between frames.
 void read_sensor_object_into_lidar(const JsonField& field, bool must_spin, Lidar& lidar) {
     const double max_range_m = lidar.sensor.max_range_m;
     const PatternKind* kind = find_pattern_kind(field);
@@ -203,16 +197,14 @@ std::vector<SequenceHeaderFrame> read_listed_frames(const JsonField& frame_list,
     return frames;
 }
 
-/// Returns true if the extension of a file means that it contains points as text.
 bool is_text_point_file(const fs::path& file) {
     return file.extension() == ".csv" || file.extension() == ".xyz";
 }
 
-/// Returns true for files that other programs and systems make for their own use.
+/// Other programs and systems make such files for their own use.
 bool is_hidden_file(const fs::path& file) { return file.filename().string().starts_with('.'); }
 
-/// Lists the scan files of each LiDAR, sorted by name. Frame times are computed from the
-/// constant frame rate `rate_hz`.
+/// Lists the scan files of each LiDAR, sorted by name.
 std::vector<SequenceHeaderFrame> list_frames_in_scan_folders(double rate_hz,
                                                              const std::vector<SequenceHeaderLidar>& lidars,
                                                              const fs::path& log_folder) {
@@ -222,14 +214,12 @@ std::vector<SequenceHeaderFrame> list_frames_in_scan_folders(double rate_hz,
         std::map<std::string, fs::path> scan_of_stem;
         const std::vector<fs::path> files =
             list_folder_entries((log_folder / lidars[l].scans).lexically_normal());
-        // Text files are scans only if the folder has no scans in other formats.
-        // Otherwise they may contain time stamps.
+        // Text files next to other scans may contain time stamps.
         const bool has_scans = std::ranges::any_of(files, [](const fs::path& f) {
             return !is_text_point_file(f) && (is_point_file(f) || is_image_file(f)) && !is_hidden_file(f);
         });
         for (const fs::path& file : files) {
-            // A CSV file directly in the folder of the log may be a table of beams and
-            // not a scan.
+            // A CSV file directly in the folder of the log may be a table of beams.
             const bool can_be_beam_table = file.extension() == ".csv" && file.parent_path() == log_folder;
             if ((is_point_file(file) && !can_be_beam_table && !(has_scans && is_text_point_file(file))) ||
                 is_image_file(file)) {
@@ -253,7 +243,6 @@ std::vector<SequenceHeaderFrame> list_frames_in_scan_folders(double rate_hz,
     return frames;
 }
 
-/// Returns notes about scans that are probably missing in the folders of the LiDARs.
 /// Scans with regular gaps, such as every fifth scan, are accepted.
 std::vector<std::string> describe_missing_scans(const std::vector<SequenceHeaderFrame>& frames,
                                                 const std::vector<SequenceHeaderLidar>& lidars) {

@@ -29,17 +29,16 @@ inline constexpr std::size_t kLongestName = 200, kLongestText = 10000, kLongestP
 struct PointFileUnits {
     /// Names of the columns in .bin and .npy files. Empty means x y z intensity.
     std::vector<std::string> columns;
-    /// Intensities are divided by this value. If it is not set, intensities are not
-    /// scaled, and values above 1 are an error.
+    /// Intensities are divided by this value. If it is not set, values above 1 are an
+    /// error.
     std::optional<double> intensity_max;
     double time_unit_s = 1.0;
-    /// True: point times use the clock of the log. False: they are relative to the time
-    /// of their frame.
+    /// True: point times use the clock of the log, otherwise the time of their frame is
+    /// 0.
     bool absolute_times = false;
-    /// Name of the field with the intensities. If empty, the first field with a usual
-    /// name is used.
+    /// Field with the intensities. If empty, the first field with a usual name.
     std::string intensity_field = {};
-    /// Position that marks a ray without a return. Points with NaN also mark such rays.
+    /// Position that marks a ray without a return, as NaN does.
     std::optional<glm::vec3> no_return = {};
     UnnumberedReturns returns = {};
     bool ignore_times = false;      ///< true if the times of the points have lost their precision
@@ -47,7 +46,6 @@ struct PointFileUnits {
     double time_zero = 0.0;         ///< value of the point time at the time 0 s, in the unit of the file
 };
 
-/// A LiDAR that sequence.json describes.
 struct SequenceHeaderLidar : LidarScanLayout {
     Lidar lidar;
     std::string scans;  ///< folder with the scan files, if sequence.json does not list frames
@@ -70,20 +68,17 @@ struct SequenceHeader {
     std::optional<glm::dvec3> world_offset_m;
 };
 
-/// Reads sequence.json, which describes a log in a plain folder. If the file does not
-/// list the scans, lists the files in the scan folders.
+/// Reads sequence.json. If it does not list the scans, lists the files in the scan
+/// folders.
 /// @param default_max_range_m  maximum range of sensors for which the file contains none
 SequenceHeader read_log_description(const std::filesystem::path& log_folder, double default_max_range_m);
 
-/// Reads the vehicle pose of each frame. Returns nothing if the file does not exist. The
-/// file has one of these formats:
-/// - 12 numbers per line: a 3x4 matrix, row-major; line i belongs to frame number i
-/// - 8 numbers per line: time_s x y z qw qx qy qz
-/// - 7 numbers per line: time_s x y z roll pitch yaw
-///
-/// Poses with times are interpolated at the times of the frames. If the vehicle then does
-/// not drive forward, other meanings of the numbers are tested, such as another order of
-/// the quaternion.
+/// Reads the vehicle pose of each frame, if the file exists. Its lines have
+/// - 12 numbers: a 3x4 matrix, row-major; line i belongs to frame number i,
+/// - 8 numbers: time_s x y z qw qx qy qz, or
+/// - 7 numbers: time_s x y z roll pitch yaw.
+/// Poses with times are interpolated. If the vehicle then does not drive forward, other
+/// meanings of the numbers are tested, such as another order of the quaternion.
 /// @param read_scan_pairs_for_pose_check  reads pairs of scans that confirm a meaning;
 /// may be null
 std::optional<std::vector<Pose>> read_frame_poses(const std::filesystem::path& pose_file,
@@ -91,9 +86,7 @@ std::optional<std::vector<Pose>> read_frame_poses(const std::filesystem::path& p
                                                   const OverlapScanPairReader& read_scan_pairs_for_pose_check,
                                                   Notes& notes);
 
-/// Reads labelled boxes from boxes.json. Returns no boxes if the file does not exist.
-/// Ignores labels outside the time of the loaded frames.
-/// @param loaded_frames  loaded frames
+/// Reads boxes.json, if it exists. Ignores labels outside the time of the loaded frames.
 /// @param all_frames  all frames of the log, because labels can refer to frames by number
 std::vector<BoxTrack> read_box_tracks(const std::filesystem::path& box_file,
                                       const std::vector<SequenceHeaderFrame>& loaded_frames,

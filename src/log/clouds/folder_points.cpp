@@ -22,13 +22,11 @@ namespace relidar::folder {
 namespace {
 
 constexpr float kFarthestCoordinate_m = 1e6f;
-// Two points can be returns of the same ray if 1 - cos(angle between their directions) is
-// below this (1.4 mrad). The limit is not 0, because file coordinates are rounded.
+// Two points are returns of one ray if 1 - cos(angle between their directions) is below
+// this (1.4 mrad). The limit is not 0, because file coordinates are rounded.
 constexpr float kOneRay = 1e-6f;
 
-/// Returns true if the values of a field are the distances of the points from the sensor,
-/// in any unit. A field with the name of a range can also contain something else, such as
-/// the distance from a plane.
+/// A field with the name of a range can also contain the distance from a plane.
 /// @param is_no_return  points without a return, which are ignored
 bool do_ranges_match_point_distances(const PointFieldView& ranges, const std::vector<glm::vec3>& points,
                                      const std::vector<char>& is_no_return) {
@@ -47,7 +45,6 @@ bool do_ranges_match_point_distances(const PointFieldView& ranges, const std::ve
     return double(n) >= kFewest * double(ratios.size());
 }
 
-/// Returns for each point whether its field `range` shows that the ray has no return.
 /// Returns an empty array if no field contains ranges.
 std::vector<char> flag_no_return_points(const PointTable& table, const std::vector<glm::vec3>& points) {
     const PointFieldView* ranges = table.find_field(PointAttribute::range);
@@ -61,7 +58,6 @@ std::vector<char> flag_no_return_points(const PointTable& table, const std::vect
     return marked;
 }
 
-/// Returns the indices and positions of the points at which a laser pulse was reflected.
 /// Leaves out points that only mark rays without a return.
 std::pair<std::vector<std::uint32_t>, std::vector<glm::vec3>> select_return_points(
     const PointTable& table, const std::array<const PointFieldView*, 3>& xyz_fields,
@@ -81,15 +77,12 @@ std::pair<std::vector<std::uint32_t>, std::vector<glm::vec3>> select_return_poin
     return returns;
 }
 
-/// Converts values of a point file to the units of a scan, for selected points.
 struct PointFieldConverter {
     std::vector<std::uint32_t> selected_indices;
     const std::string& where;
 
-    /// Converts a field: calls store_value(k, convert_value(value)) for the k-th selected
-    /// point.
-    /// @throws DataError from `convert_value`, with the number of the point added to the
-    /// message
+    /// Calls store_value(k, convert_value(value)) for the k-th selected point.
+    /// @throws DataError from `convert_value`, with the number of the point
     template <class OfValue, class Set>
     void convert_each_value(const PointFieldView& field, const OfValue& convert_value,
                             const Set& store_value) const {
@@ -103,8 +96,7 @@ struct PointFieldConverter {
             }
         });
     }
-    /// Fills an array with the converted values of the selected points. Does nothing if
-    /// the field does not exist.
+    /// Does nothing if the field does not exist.
     template <class T, class OfValue>
     void convert_field_into(std::vector<T>& values, const PointFieldView* field_or_null,
                             const OfValue& convert_value) const {
@@ -115,8 +107,8 @@ struct PointFieldConverter {
     }
 };
 
-/// Converts the times of points. With units.skip_wrong_times, a wrong time becomes the
-/// longest offset, so that read_scans() removes its point.
+/// With units.skip_wrong_times, a wrong time becomes the longest offset, so that
+/// read_scans() removes its point.
 /// @throws DataError otherwise, and MostTimesWrong if most times are wrong
 void convert_times(LidarPoints& points, const PointFieldConverter& convert, PointTable table,
                    const PointFileUnits& units, double frame_time_s) {
@@ -140,8 +132,8 @@ void convert_times(LidarPoints& points, const PointFieldConverter& convert, Poin
                                          convert.selected_indices.size(), first_error));
 }
 
-/// Returns the number that a file uses for first returns: 1 if the file counts from 1,
-/// otherwise 0. Every file has first returns, so this is the smallest number.
+/// Returns 1 if the file counts from 1, otherwise 0. Every file has first returns, so
+/// this is the smallest number.
 double find_number_used_for_first_returns(const PointFieldView& return_numbers, std::size_t n_points) {
     double least = return_numbers[0];
     return_numbers.call_with_value_reader([&](const auto& number_at) {
@@ -160,9 +152,8 @@ void reorder_values(std::vector<T>& values, const std::vector<std::size_t>& orde
     values = std::move(arranged);
 }
 
-/// Sets the return number of each point. Points with the same ring, time and direction
-/// are returns of one ray. The strongest of them becomes the first return.
-/// @param return_types  [points] return type of each point
+/// Points with the same ring, time and direction are returns of one ray. The strongest of
+/// them becomes the first return.
 void sort_points_and_set_return_numbers(LidarPoints& points, const std::vector<double>& return_types) {
     const std::size_t n = points.size();
     std::vector<std::size_t> order(n);

@@ -13,28 +13,25 @@
 
 namespace relidar::folder {
 
-/// The times of most points of a scan are far from the time of its frame.
 struct MostTimesWrong : DataError {
     using DataError::DataError;
 };
 
-/// Converts a table of points to relidar's units. Finds the meaning of each field by its
-/// name. If the table has the field return_type of the ROS package Nebula, points with
-/// the same ring, time and direction become returns of one ray. Omits rays without a
-/// return: invalid points, and points at the position units.no_return.
+/// Finds the meaning of each field by its name. If the table has the field return_type of
+/// the ROS package Nebula, points with the same ring, time and direction become returns
+/// of one ray. Omits rays without a return: invalid points, and points at
+/// units.no_return.
 /// @param frame_time_s  time that is subtracted from absolute point times
 /// @throws DataError with the number of the invalid point
 LidarPoints convert_table_to_points(const PointTable& table, const PointFileUnits& units, double frame_time_s,
                                     const std::string& error_location);
 
-/// Provides the scan of each frame, from files of a folder or from messages of a bag.
-/// Several threads can call the functions at the same time.
+/// Scan of each frame, from files or messages. Several threads can call the functions at
+/// the same time.
 class ScanProvider {
 public:
     virtual ~ScanProvider() = default;
     virtual std::string get_frame_name(std::size_t frame_index) const = 0;  ///< name for error messages
-    /// Returns true if the scan of the frame is stored as points, false if it is stored
-    /// as rays.
     virtual bool is_stored_as_points(std::size_t frame_index) const = 0;
     virtual LidarPoints read_points_of_frame(std::size_t frame_index) const = 0;
     virtual Scan read_rays_of_frame(std::size_t frame_index) const = 0;

@@ -25,16 +25,15 @@ SweepFirings fit_equal_azimuth_steps_to_points(const LidarPoints& points, const 
     SweepFirings sweep{{sensor.columns, 0.0}, {}};
     const std::vector<BeamRayGenerator> beams = make_beam_ray_generators(sensor.beams);
     const BeamRayGenerator ideal((Beam()));
-    // Sum of exp(i n azimuth) over all points, for a grid of n columns. Its angle divided
-    // by n is the mean offset of the azimuths from the grid.
+    // Its angle divided by n is the mean offset of the azimuths from the grid of n
+    // columns.
     std::complex<double> sum = 0.0;
     for (std::size_t i = 0; i < points.size(); ++i) {
         const BeamRayGenerator& beam = points.ring[i] < beams.size() ? beams[points.ring[i]] : ideal;
         sum += std::polar(1.0, sensor.columns * beam.compute_head_azimuth(glm::dvec3(points.position_m[i])));
     }
     sweep.lattice.zero_rad = std::arg(sum) / sensor.columns;
-    // A sweep begins near azimuth +pi, and its azimuth decreases. `last` is the grid step
-    // with the largest azimuth up to +pi. So firing i is at step `last` - i.
+    // The azimuth decreases from +pi, so firing i is at step `last` - i.
     int last = sweep.lattice.find_nearest_encoder_tick(kPi);
     if (sweep.lattice.compute_azimuth_of_encoder_tick_rad(last) < 0.0)
         last = (last + sensor.columns - 1) % sensor.columns;

@@ -10,23 +10,20 @@
 namespace relidar {
 namespace {
 
-// If the LiDAR rotates, all points of a ring have similar elevations. This is the maximum
-// difference between the 90th and the 10th percentile of these elevations. Only the half
-// of the points that is farther from the sensor is used.
+// Maximum difference between the 90th and the 10th percentile of the elevations of a
+// ring, for the farther half of its points.
 constexpr double kMostSpread_rad = 1.5 * kPi / 180.0;
-// A wider azimuth range without points means a limited field of view. In a narrower
-// range, the vehicle may block the view.
+// In a narrower range without points, the vehicle may block the view.
 constexpr double kLeastGap_rad = kPi / 3.0;
-// Maximum relative difference between the period of rotation and the time between scans.
+// Relative difference between the period of rotation and the time between scans.
 constexpr double kOtherPeriod = 0.2;
-// Rings with fewer points are ignored.
 constexpr std::size_t kFewestPoints = 50;
 
 double compute_elevation(const glm::vec3& point) {
     return std::atan2(double(point.z), std::hypot(double(point.x), double(point.y)));
 }
 
-/// Returns the spread of the elevations within a ring, as the median over all rings.
+/// Returns the median over all rings.
 double compute_ring_elevation_spread(const LidarPoints& scan) {
     std::vector<std::vector<std::pair<float, double>>> rings;  // range and elevation
     for (std::size_t i = 0; i < scan.size(); ++i) {
@@ -57,8 +54,7 @@ double compute_widest_azimuth_gap(const std::vector<LidarPoints>& scans) {
             is_bin_occupied[std::size_t((std::atan2(double(p.y), double(p.x)) / (2.0 * kPi) + 0.5) * kBins) %
                             kBins] = true;
     std::size_t widest = 0, run = 0;
-    // Counts every bin twice, because a gap may begin at the end of the circle and
-    // continue at its start.
+    // Counts every bin twice, because a gap may contain the start of the circle.
     for (std::size_t b = 0; b < 2 * kBins; ++b) {
         run = is_bin_occupied[b % kBins] ? 0 : run + 1;
         widest = std::max(widest, std::min(run, kBins));

@@ -10,11 +10,10 @@
 
 namespace relidar {
 
-/// Returns the reason why points cannot come from a spinning LiDAR, or an empty string.
-/// In a spinning LiDAR, all points of a ring have nearly the same elevation. A sweep
-/// takes the time of a full revolution, even if the field of view is limited.
+/// Returns the reason, or an empty string. In a spinning LiDAR, all points of a ring have
+/// nearly the same elevation. A sweep takes the time of a full revolution, even if the
+/// field of view is limited.
 /// @param scans  some scans, with rings
-/// @param fitted_sensor  sensor that was fitted to these scans
 /// @param frame_interval_s  time between scans in seconds
 std::string explain_why_not_spinning(const std::vector<LidarPoints>& scans,
                                      const SpinningSensor& fitted_sensor, double frame_interval_s);

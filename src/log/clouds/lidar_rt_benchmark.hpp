@@ -16,8 +16,7 @@ struct BenchmarkSequence {
     const char* name;
     const char* drive;  ///< part of the drive's name in the dataset that is unique
     int first, last;    ///< first and last frame
-    /// The LiDAR-RT paper uses four frames for testing: test_first, test_first +
-    /// test_every, and so on. All other frames are for training.
+    /// Test frames of the LiDAR-RT paper: test_first, test_first + test_every, and so on.
     int test_first, test_every;
 };
 inline constexpr int kBenchmarkTestFrames = 4;
@@ -36,20 +35,17 @@ inline constexpr BenchmarkSequence kWaymoBenchmark[] = {
     {"wd3", "100721", 1, 50, 10, 10},     {"wd4", "105003", 148, 197, 157, 10},
 };
 
-/// Drive and frames that the user requested.
 struct RequestedDriveFrames {
-    /// Requested drive (a recording of the dataset): its name, or a unique part of its
-    /// name.
+    /// Name of a drive (a recording of the dataset), or a unique part of it.
     std::string drive;
-    /// Range of frames that the user requested. If the user named a sequence of the
-    /// LiDAR-RT paper (part of a drive), the range is limited to that sequence.
+    /// Range of frames, limited to the sequence of the LiDAR-RT paper if the user named
+    /// one.
     FrameRange frames;
     bool is_benchmark = false;
-    /// Test frames that the LiDAR-RT paper defines, if they are in the range `frames`.
-    /// Empty unless the user requested a sequence of that paper by its name.
+    /// Test frames of the LiDAR-RT paper in `frames`. Empty if the user named no
+    /// sequence.
     std::vector<int> test_frames = {};
 };
-/// Returns the drive (a recording of the dataset) and the frames that the user requested.
 /// options.sequence is the name of a drive, or of a sequence of the LiDAR-RT paper.
 /// @throws UsageError if this sequence contains none of the requested frames
 RequestedDriveFrames find_requested_drive_and_frames(const DatasetOptions& options,

@@ -19,8 +19,7 @@ namespace relidar::kitti {
 namespace fs = std::filesystem;
 namespace {
 
-// Maximum range of a point. No LiDAR measures ten kilometres. A larger range means that
-// the file has another number type or byte order.
+// A larger range means that the file has another number type or byte order.
 constexpr double kFarthestReturn_m = 1e4;
 
 std::vector<SurfaceClass> read_semantic_kitti_classes(const fs::path& label_file, std::size_t n_points) {

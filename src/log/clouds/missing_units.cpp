@@ -17,8 +17,8 @@ namespace {
 
 namespace fs = std::filesystem;
 
-/// Reads the points of a few files, evenly spread over the log. Skips unreadable files.
-/// Their errors are reported when all scans are read.
+/// Reads a few files, evenly spread over the log. Errors are reported when all scans are
+/// read.
 std::vector<PointTable> read_sample_tables(const std::vector<fs::path>& scan_files,
                                            const std::vector<std::string>& column_names) {
     std::vector<fs::path> with_points = scan_files;
@@ -36,7 +36,6 @@ std::vector<PointTable> read_sample_tables(const std::vector<fs::path>& scan_fil
     return samples;
 }
 
-/// Reads the arrays "intensity" and "time" of a few .npz files with rays.
 std::vector<PointTable> read_sample_images(const std::vector<fs::path>& scan_files) {
     std::vector<fs::path> images;
     std::ranges::copy_if(scan_files, std::back_inserter(images),
@@ -58,7 +57,7 @@ std::vector<PointTable> read_sample_images(const std::vector<fs::path>& scan_fil
     return samples;
 }
 
-/// Ignores the times of the points, with a note, if they have lost their precision.
+/// Ignores times that have lost their precision, with a note.
 void ignore_coarse_times(PointFileUnits& units, const std::vector<PointTable>& samples, Notes& notes) {
     constexpr double kSweep_s = 0.1;
     for (const PointTable& cloud : samples) {

@@ -73,9 +73,8 @@ LasHeader parse_las_header(std::string_view bytes, const std::string& error_loca
     return header;
 }
 
-/// Throws if the points are a map or in survey coordinates. The sensor of a scan is at
-/// the origin, so some points must be near the origin. They can all be on one side,
-/// because some sensors only look forward.
+/// Throws for a map or survey coordinates. The sensor is at the origin, so some points
+/// must be near it, perhaps all on one side.
 void require_points_near_origin(const std::array<std::vector<double>, 3>& coordinates_m,
                                 const std::string& error_location) {
     for (std::size_t axis = 0; axis < 2; ++axis) {
@@ -103,7 +102,6 @@ PointTable parse_las_points(const SharedBytes& file, const std::string& error_lo
         for (std::size_t axis = 0; axis < 3; ++axis)
             position_m[axis][i] =
                 header.scale[axis] * read_unaligned<std::int32_t>(point, 4 * axis) + header.offset_m[axis];
-        // a ray keeps at most 8 returns
         return_numbers[i] =
             std::uint8_t(std::min(point[14] & (header.has_extended_point_format() ? 15 : 7), 8));
     }

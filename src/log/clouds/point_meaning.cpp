@@ -19,8 +19,8 @@ namespace {
 // Largest values of the usual intensity scales: percent, 8 bits and 16 bits.
 constexpr double kPercent = 100.0, kByte = 255.0, kTwoBytes = 65535.0;
 constexpr double kFewBrighter = 0.995;  // minimum share of the intensities that must be within the scale
-// Measured points rarely have identical positions. So a position is a marker for "no
-// return" if (points at this position / all points) is between these limits.
+// A position marks "no return" if (points at this position / all points) is between these
+// limits, because measured points rarely have identical positions.
 constexpr double kLeastMarked = 0.01, kMostMarked = 0.95;
 constexpr std::size_t kFewestMarked = 16;
 constexpr std::size_t kLooks = 1024;  // maximum number of points that are tested for repeated positions
@@ -40,8 +40,7 @@ bool is_field_all_zero(const std::vector<PointTable>& clouds, const std::string&
     return is_zero;
 }
 
-/// Selects the field that contains the intensities: the first candidate that has a value
-/// other than 0.
+/// Selects the first candidate that has a value other than 0.
 void choose_and_store_intensity_field(const std::vector<PointTable>& clouds, PointFieldSemantics& semantics) {
     const std::vector<std::string> names = clouds[0].list_fields_with_attribute(PointAttribute::intensity);
     if (names.empty()) return;
@@ -75,7 +74,6 @@ void add_note_on_unread_fields(const std::vector<PointTable>& clouds, PointField
             : "'" + shorten_for_error_message(semantics.intensity_field) + "'"));
 }
 
-/// Returns a note if returns have negative intensities. Otherwise returns an empty text.
 std::string describe_negative_intensities(const std::vector<PointTable>& clouds, const std::string& field) {
     double lowest = 0.0;
     for (const PointTable& cloud : clouds) {
@@ -93,8 +91,7 @@ std::string describe_negative_intensities(const std::vector<PointTable>& clouds,
                : "";
 }
 
-/// Some files store all rays without a return as points at one position. Returns this
-/// position if many points share it. Otherwise, returns nothing.
+/// Some files store all rays without a return as points at one position.
 std::optional<glm::vec3> find_position_that_marks_dropped_rays(const PointTable& cloud) {
     const std::array<const PointFieldView*, 3> xyz = {cloud.find_field(PointAttribute::x),
                                                       cloud.find_field(PointAttribute::y),

@@ -14,28 +14,24 @@
 
 namespace relidar::folder {
 
-/// Scale of intensities.
 struct IntensityScale {
     double max = 1.0;     ///< intensity that becomes 1
     bool is_sure = true;  ///< false if other scales are equally probable
     std::string about;    ///< text about the scale for a note; empty if the scale is 0 to 1
 };
-/// Estimates the maximum of the intensity scale: 1, or 255, or a value that only a few
-/// intensities exceed. Changes the order of the values.
+/// Estimates 1, or 255, or a value that only a few intensities exceed. Reorders the
+/// values.
 IntensityScale estimate_intensity_scale(std::vector<double>& intensities);
 
-/// Meaning of the point values of a LiDAR.
 struct PointFieldSemantics {
     std::string intensity_field;  ///< name of the field that contains the intensities; may be empty
     IntensityScale scale;
-    /// Position that marks a ray without a return. Points with NaN also mark such rays.
+    /// Position that marks a ray without a return, as NaN does.
     std::optional<glm::vec3> no_return;
     UnnumberedReturns returns;
     std::vector<std::string> notes;  ///< texts for the user about each assumption
 };
-/// Finds out which field contains intensities, how they are scaled, and how dropped rays
-/// are marked.
-/// @param sample_clouds  some clouds of the LiDAR
+/// Finds the field of intensities, their scale, and how dropped rays are marked.
 PointFieldSemantics interpret_point_fields(const std::vector<PointTable>& sample_clouds);
 
 }  // namespace relidar::folder

@@ -104,8 +104,8 @@ std::vector<PointField> list_pcd_fields(const PcdHeader& header, const std::stri
     return fields;
 }
 
-/// Decides which fields with COUNT 0 exist. Some programs write COUNT 0 for padding that
-/// the file does not have, other programs for padding that it has.
+/// Decides which fields with COUNT 0 exist: some programs write COUNT 0 for padding that
+/// the file does not have, others for padding that it has.
 /// @param record  values per point (text) or bytes per point that the file has
 void resolve_empty_fields(std::vector<PointField>& fields, std::size_t record, bool is_text,
                           const std::string& error_location) {
@@ -134,9 +134,8 @@ void resolve_empty_fields(std::vector<PointField>& fields, std::size_t record, b
     fail("{}: the compressed data is damaged, expected LZF data of the size in the file", error_location);
 }
 
-/// Decompresses LZF data. A byte b below 32 precedes b + 1 bytes that are copied. A
-/// larger byte starts a reference of two or three bytes: length and distance of earlier
-/// output to repeat.
+/// A byte b below 32 precedes b + 1 bytes that are copied. A larger byte starts a
+/// reference of two or three bytes: length and distance of earlier output to repeat.
 std::string decompress_lzf(std::string_view compressed_data, std::size_t decompressed_size,
                            const std::string& error_location) {
     std::string out;
@@ -161,16 +160,15 @@ std::string decompress_lzf(std::string_view compressed_data, std::size_t decompr
         const std::size_t back = ((control & 31) << 8) + next() + 1;
         if (back > out.size() || length > decompressed_size - out.size())
             throw_damaged_lzf_error(error_location);
-        // Copies byte by byte, because the copied bytes may overlap the bytes that this
-        // loop appends.
+        // byte by byte, because copied bytes may overlap appended bytes
         for (std::size_t i = 0; i < length; ++i) out += out[out.size() - back];
     }
     if (out.size() != decompressed_size) throw_damaged_lzf_error(error_location);
     return out;
 }
 
-/// Decompresses the points of a PCD file. `compressed_data` contains the compressed size,
-/// the decompressed size, and LZF data. The result stores one field after another.
+/// The data have the compressed size, the decompressed size, and LZF data. The result
+/// stores one field after another.
 std::string decompress_pcd_points(std::string_view compressed_data, const std::string& error_location) {
     if (compressed_data.size() < 8)
         fail(

@@ -30,8 +30,7 @@ struct PointFieldName {
     std::string_view name;
     PointAttribute value;
 };
-/// Field names in lower case and their meanings. If several fields of a file have the
-/// same meaning, the name that is first in this list is used.
+/// Field names in lower case. The first name that a file has wins.
 constexpr PointFieldName kFieldNames[] = {
     {"x", PointAttribute::x},
     {"y", PointAttribute::y},
@@ -66,18 +65,15 @@ constexpr PointFieldName kFieldNames[] = {
 };
 constexpr std::size_t kNotRead = std::size(kFieldNames);
 
-/// Prefixes that some programs add to field names. The search for a name ignores them.
 constexpr std::string_view kPrefixes[] = {"scalar_",     "points_", "point_", "position_", "pos_",
                                           "coordinate_", "coord_",  "xyz_",   "vertex_",   "lidar_"};
 
-/// Returns the index of a field name in kFieldNames, or kNotRead if the name is unknown.
 std::size_t find_exact_field_index(std::string_view field_name) {
     const auto* const row = std::ranges::find(kFieldNames, field_name, &PointFieldName::name);
     return std::size_t(row - std::begin(kFieldNames));
 }
 
-/// Returns the index of a field in kFieldNames, or kNotRead if the field is unknown.
-/// Accepts names in upper or lower case, and names with a prefix from kPrefixes.
+/// Returns kNotRead for unknown fields. Ignores upper case, and prefixes from kPrefixes.
 std::size_t find_field_index_ignoring_case(std::string_view field_name) {
     std::string name(trim_blanks_at_both_ends(field_name));
     std::ranges::transform(name, name.begin(),
@@ -115,8 +111,8 @@ ScalarType get_field_number_type(const PointField& field, const std::string& err
          shorten_for_error_message(std::string(1, field.kind)), field.size);
 }
 
-/// Returns true if a file contains the points of an HDL-32E as the dataset NCLT stores
-/// them. The number of the laser is the highest byte of the second float32 otherwise.
+/// Returns true for points of an HDL-32E as the dataset NCLT stores them. The number of
+/// the laser is the highest byte of the second float32 otherwise.
 bool is_nclt_packed_file(std::string_view bytes) {
     constexpr std::size_t kRecord = 8, kMostLasers = 32, kMostTested = 1000;
     const std::size_t n = std::min(bytes.size() / kRecord, kMostTested);
@@ -149,14 +145,12 @@ PointTable read_float32_points(const fs::path& bin_file, const std::vector<std::
             bin_file.string(), n_bytes, record, fields.size());
     PointTable table = make_table_of_binary_points(data, fields, n_bytes / record,
                                                    PointMemoryLayout::by_point, bin_file.string());
-    // Clears the list of unread columns, because the user already got a note about them
-    // when sequence.json was read.
+    // When sequence.json was read, the user got a note about unread columns.
     table.unread.clear();
     return table;
 }
 
-/// Adds the columns of an array [points, columns] to a table with the same number of
-/// points. Adds only columns that relidar reads.
+/// Adds those columns of an array [points, columns] that relidar reads.
 void add_array_columns(PointTable& table, NamedArray array, const std::vector<std::string>& column_names,
                        const std::string& error_location) {
     const auto* type_row = std::ranges::find(kNumberTypes, array.dtype, &ScalarTypeEntry::numpy);
@@ -233,8 +227,7 @@ std::optional<PointAttribute> find_attribute_of_field_name(std::string_view fiel
 }
 
 std::vector<std::string> PointTable::list_fields_with_attribute(PointAttribute attribute) const {
-    // Sort keys: row in the table of known names; true if upper and lower case differ
-    // from the known name; name.
+    // row in the table of known names; true if the case differs from the known name; name
     std::vector<std::tuple<std::size_t, bool, std::string>> ranked;
     for (const auto& [name, values] : fields_) {
         const std::size_t row = find_field_index_ignoring_case(name);
@@ -357,8 +350,8 @@ PointTable read_point_file_with_header(const fs::path& file,
                                                                   const std::string& where)) {
     const SharedBytes bytes = make_shared_bytes(read_text_file(file));
     PointTable table = parse_points(bytes, file.string());
-    // relidar writes one of two texts that start with "points_in" to the header of a file
-    // if its points are motion-compensated or in the world frame.
+    // relidar writes one of two texts with "points_in" if points are motion-compensated
+    // or in the world frame.
     constexpr std::size_t kHeader = 4096;  // number of bytes at the start of the file that are searched
     const std::string_view header = bytes.bytes.substr(0, kHeader);
     table.is_deskewed = header.find(" points_in sensor at time_s") != header.npos ||

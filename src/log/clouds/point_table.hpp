@@ -20,12 +20,10 @@
 
 namespace relidar::folder {
 
-/// Meaning of a point field that relidar reads.
 enum class PointAttribute { x, y, z, intensity, ring, time, return_number, return_type, range };
 
-/// Returns the meaning of a field by its name. Ignores upper case and prefixes such as
-/// "scalar_". Returns nothing for fields that relidar does not read, such as colours and
-/// normals.
+/// Ignores upper case and prefixes such as "scalar_". Returns nothing for fields that
+/// relidar does not read, such as colours.
 std::optional<PointAttribute> find_attribute_of_field_name(std::string_view field_name);
 inline bool is_known_point_field(std::string_view field_name) {
     return find_attribute_of_field_name(field_name).has_value();
@@ -33,8 +31,7 @@ inline bool is_known_point_field(std::string_view field_name) {
 
 enum class ScalarType : std::uint8_t { f4, f8, i1, i2, i4, i8, u1, u2, u4, u8 };
 
-/// View of the values of one field for all points of a cloud. The values stay in the
-/// number type of the file.
+/// Values of one field for all points of a cloud, in the number type of the file.
 class PointFieldView {
     // Must precede its uses, so that older versions of clang can deduce the return type.
     template <class T>
@@ -47,14 +44,12 @@ class PointFieldView {
     }
 
 public:
-    /// Creates a view of values in memory.
-    /// @param first  address of the value of point 0
     /// @param step  number of bytes between the values of two consecutive points
     PointFieldView(ScalarType type, const char* first, std::size_t step)
         : first_(first), step_(step), type_(type) {}
 
-    /// Calls callback(value_at). The function value_at(i) returns the value of this field
-    /// for point i, in the number type of the file, for example float.
+    /// Calls callback(value_at); value_at(i) returns the value of point i in the type of
+    /// the file.
     template <class Callback>
     void call_with_value_reader(const Callback& callback) const {
         switch (type_) {
@@ -80,8 +75,7 @@ public:
                 return callback(make_value_reader<std::uint64_t>());
         }
     }
-    /// Returns the value of one point. To read many values, use
-    /// call_with_value_reader(), which is faster.
+    /// Returns one value. To read many values, call_with_value_reader() is faster.
     double operator[](std::size_t index) const {
         double value = 0.0;
         call_with_value_reader([&](const auto& value_at) { value = double(value_at(index)); });
@@ -94,29 +88,23 @@ private:
     ScalarType type_;
 };
 
-/// A point cloud, stored as one array of values per field. Copies of a table share the
-/// memory of the values.
+/// A point cloud with an array per field. Copies share the memory of the values.
 class PointTable {
 public:
     explicit PointTable(std::size_t n_points = 0) : n(n_points) {}
 
     std::size_t n;  ///< number of points
-    /// True if the file states that its points are motion-compensated (deskewed) or in
-    /// the world frame.
+    /// True if the file says that its points are motion-compensated or in the world
+    /// frame.
     bool is_deskewed = false;
     std::vector<std::string> unread;  ///< names of the fields that relidar does not read
 
-    /// Returns the field with a meaning such as "intensity", or nullptr if no field has
-    /// this meaning. If several fields match, the order in the list of known names
-    /// decides.
+    /// Returns the first field of list_fields_with_attribute(), or null.
     const PointFieldView* find_field(PointAttribute attribute) const;
-    /// Returns the field with a name, or nullptr if the table has no such field.
     const PointFieldView* find_field(const std::string& field_name) const;
-    /// Returns the names of all fields with a meaning such as "intensity". find_field()
-    /// returns the field with the first of these names.
+    /// Returns the names of all fields with a meaning, in the order of the list of known
+    /// names.
     std::vector<std::string> list_fields_with_attribute(PointAttribute attribute) const;
-    /// Adds a field to the table.
-    /// @param error_location  name of the file, for error messages
     /// @throws DataError if the field already exists
     void add_value_field(const std::string& field_name, const PointFieldView& values,
                          const std::string& error_location);
@@ -129,7 +117,6 @@ public:
                         error_location);
     }
     void remove_fields_with_attribute(PointAttribute attribute);
-    /// Keeps the memory of field values allocated as long as the table exists.
     void keep_memory_alive(std::shared_ptr<const void> memory) { memory_.push_back(std::move(memory)); }
 
 private:
@@ -137,10 +124,9 @@ private:
     std::vector<std::shared_ptr<const void>> memory_;
 };
 
-/// Name of fields that contain no data and only fill gaps between other fields.
+/// Name of fields that only fill gaps between other fields.
 inline constexpr std::string_view kPadding = "_";
 
-/// Name and number type of a field as stored in a file.
 struct PointField {
     std::string name;
     char kind;         ///< 'F' means floating point, 'I' signed integer, 'U' unsigned integer
@@ -148,13 +134,12 @@ struct PointField {
     std::size_t count = 1;
 };
 
-/// How the values of n points are stored in memory: point by point, or field by field.
+/// Whether values are stored point by point, or field by field.
 enum class PointMemoryLayout {
     by_point,  ///< one record per point
     by_field   ///< all values of the first field, followed by all values of the second field, and so on
 };
 
-/// Checks the number of points of a file.
 /// @throws DataError if there are no points, or too many for one scan
 void require_valid_point_count(std::size_t n_points, const std::string& error_location);
 /// Returns a table of binary little-endian numbers, without copying them.
@@ -166,31 +151,24 @@ PointTable make_table_of_binary_points(const SharedBytes& data, const std::vecto
 PointTable parse_point_lines(std::string_view text, const std::vector<PointField>& fields,
                              std::size_t n_points, const std::string& error_location);
 
-/// Returns true if a file has the extension of a supported point cloud format.
 bool is_point_file(const std::filesystem::path& file);
-/// Returns true if the extension of a file means an image format. Each pixel of the image
-/// is a ray.
+/// Returns true if each pixel of the file is a ray.
 bool is_image_file(const std::filesystem::path& file);
 /// Returns true if the .npz files of a log contain points, and false if they contain
 /// rays.
 /// @throws DataError if the first .npz file contains neither
 bool has_npz_points(const std::vector<std::filesystem::path>& scan_files);
-/// Reads the points of a file. The extension of the file defines its format.
 /// @param column_names  names of the columns in .bin and .npy files; empty: x y z
 /// intensity
-/// @throws DataError with the name of the file
 PointTable read_point_file(const std::filesystem::path& file, const std::vector<std::string>& column_names);
 
 /// Reads a LAS file that contains a single scan.
-/// @throws DataError if no points are near the origin, which is the position of the
-/// sensor
+/// @throws DataError if no points are near the origin, where the sensor is
 PointTable parse_las_points(const SharedBytes& file, const std::string& error_location);
-/// Reads a PCD or PLY file. The header of the file describes the fields.
 PointTable parse_pcd_points(const SharedBytes& file, const std::string& error_location);
 PointTable parse_ply_points(const SharedBytes& file, const std::string& error_location);
 
-/// Reads lines of numbers that are separated by blanks, commas or semicolons. The first
-/// line may contain the names of the fields.
+/// Reads lines of numbers that are separated by blanks, commas or semicolons.
 /// @param column_names  names of the fields if the file has no header. If empty, the
 /// fields are x y z, or x y z intensity.
 PointTable parse_text_points(const SharedBytes& file, const std::vector<std::string>& column_names,

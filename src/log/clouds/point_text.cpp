@@ -37,8 +37,7 @@ std::vector<PointField> make_named_fields(const std::vector<std::string>& names)
     return fields;
 }
 
-/// Returns the fields of a text file that has no header.
-/// @param n_values_per_line  number of values per line
+/// @param n_values_per_line  number of values of a file that has no header
 std::vector<PointField> make_default_fields(std::size_t n_values_per_line,
                                             const std::vector<std::string>& column_names,
                                             const std::string& error_location) {
@@ -52,8 +51,7 @@ std::vector<PointField> make_default_fields(std::size_t n_values_per_line,
         error_location, n_values_per_line);
 }
 
-/// Parses the list of fields in the header of a structured numpy array: [('x', '<f4'),
-/// ...].
+/// Parses the fields of a structured numpy array: [('x', '<f4'), ...].
 class NumpyFieldListParser {
 public:
     NumpyFieldListParser(std::string_view text, const std::string& location)
@@ -75,8 +73,7 @@ public:
         }
         return fields;
     }
-    /// Parses the shape of a field, which is a tuple of numbers. Returns the product of
-    /// the numbers.
+    /// Returns the product of a tuple of numbers.
     std::size_t parse_shape_and_count_elements() {
         std::size_t n = 1;
         require_next_character('(');
@@ -126,8 +123,7 @@ private:
         require_next_character('\'');
         return text;
     }
-    /// Converts a numpy type such as '<f4' to a field. Fields without a name, or with the
-    /// type 'V', contain no data.
+    /// Fields without a name, or with the type 'V', contain no data.
     PointField parse_numpy_field(const std::string& field_name, const std::string& type_code) const {
         const auto size =
             parse_number(std::string_view(type_code).substr(std::min<std::size_t>(2, type_code.size())));

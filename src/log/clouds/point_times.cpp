@@ -18,25 +18,23 @@
 namespace relidar::folder {
 namespace {
 
-// Periods of counters of 16 and 32 bits. A program may have divided them by a power of
-// 1000.
+// Counters of 16 and 32 bits, which a program may have divided by a power of 1000.
 constexpr std::array kPeriods = {65536.0, 4294967296.0, 4294967.296, 4294.967296, 4.294967296};
-// Periods of clocks in seconds: a second, a minute, an hour, a day and a week.
+// a second, a minute, an hour, a day and a week
 constexpr std::array kClockPeriods_s = {1.0, 60.0, 3600.0, 86400.0, 604800.0};
 constexpr std::array kUnitsOfSecond = {1.0, 1e3, 1e6, 1e9};
-// A counter overflows in a cloud if its times span nearly a period, and if they leave out
-// more than half of the period.
+// A counter overflows in a cloud if its times span nearly a period, and leave out more
+// than half of the period.
 constexpr double kLeastSpan = 0.9, kLeastPause = 0.5;
 // Times in the last part of the period of a counter can be negative offsets.
 constexpr double kLastPart = 15.0 / 16.0;
 // Plausible time from the first to the last point of a scan, relative to the time between
-// scans. The lower limit is small, because a log may contain only some of the scans.
+// scans. The lower limit is small, because a log may have only some of the scans.
 constexpr double kShortestSpan = 0.01, kLongestSpan = 3.0;
-// A larger azimuth step is no rotation of the head, but a jump to another column.
+// A larger azimuth step is a jump to another column.
 constexpr double kLargestStep_rad = 0.2;
 
-/// Returns true if a counter with this period overflows in the cloud. Sets `limit` to a
-/// value below the times before the overflow and above the other times.
+/// Sets `limit` to a value below the times before the overflow and above the other times.
 template <class TimeAt>
 bool is_period_of_times(const TimeAt& time_at, std::size_t n, std::array<double, 2> range, double period,
                         double& limit) {
@@ -68,8 +66,8 @@ void replace_times(PointTable& table, std::vector<double> times) {
     table.add_value_field("time", ScalarType::f8, std::move(times), "");
 }
 
-/// Returns the span of sorted values without their outermost tenths, extrapolated to all
-/// values, and the index of the last value of the lower tenth.
+/// Returns the span of sorted values without their outermost tenths, extrapolated, and
+/// the index of the last value of the lower tenth.
 template <class Number>
 std::pair<double, std::size_t> estimate_span(const std::vector<Number>& sorted) {
     constexpr double kOuter = 0.1;
@@ -104,7 +102,6 @@ void unwrap_point_times(PointTable& table, bool are_offsets) {
         times->call_with_value_reader([&](const auto& time_at) {
             const std::array<double, 2> range = find_value_range(time_at, table.n);
             double limit = 0.0, period = 0.0;
-            // The shortest possible period is right: times span nearly all of it.
             const auto test = [&](double candidate) {
                 if ((period == 0.0 || candidate < period) &&
                     is_period_of_times(time_at, table.n, range, candidate, limit))

@@ -14,15 +14,11 @@
 namespace relidar::folder {
 namespace {
 
-// A vehicle drives forward if the mean x component of its unit motion vectors is above
-// this value. The vectors are in the vehicle frame.
+// Minimum mean x component of the unit motion vectors in the vehicle frame.
 constexpr double kForward = 0.9;
-// A pose file can deviate from its documented convention. relidar uses another convention
-// only if it increases two values by at least these amounts. kMoreForward: mean x
-// component of the unit motion vectors of the vehicle. kMoreOverlap: share (0 to 1) of a
-// scan's points that overlap with another scan.
+// Another convention is used only if it increases the mean x component, and the share of
+// overlapping points, by these amounts.
 constexpr double kMoreForward = 0.3, kMoreOverlap = 0.02;
-// Minimum number of motions between poses for estimating the driving direction.
 constexpr std::size_t kFewestSteps = 3;
 constexpr double kCell_m = 0.5;  // edge length of the cells in which the overlap of scans is counted
 constexpr float kMinComparedRange_m = 3.0f,
@@ -33,13 +29,12 @@ bool is_point_range_used_for_scan_overlap(const glm::vec3& point_m) {
     return range_m > kMinComparedRange_m && range_m < kMaxComparedRange_m;
 }
 
-// Maximum decrease of the mean upright component (-1 to 1) with another convention, and
+// Change of the mean upright component: maximum decrease with another convention, and
 // increase that means that the vehicle was upside down.
 constexpr double kLessUpright = 0.1, kMoreUpright = 0.5;
 // Note that the order of the quaternions is uncertain.
 constexpr const char* kQuaternionOrder = "quaternion_order";
 
-/// Returns the mean vertical component of the vehicle's z axis.
 double compute_mean_upright(const PoseTrack& track) {
     double sum = 0.0;
     for (const Pose& pose : track.pose) sum += (pose.rotation * glm::dvec3(0, 0, 1)).z;
@@ -59,7 +54,7 @@ std::vector<glm::vec3> compute_points_in_vehicle_frame(const LidarSequence& sequ
     return points_m;
 }
 
-/// Selects pairs of consecutive scans of the first LiDAR, evenly spread over the log.
+/// Selects pairs of the first LiDAR, evenly spread over the log.
 OverlapScanPairs collect_consecutive_scan_pairs(const LidarSequence& sequence) {
     std::vector<const LidarFrame*> frames;
     for (const LidarFrame& frame : sequence.frames)

@@ -20,22 +20,20 @@ inline constexpr const char *kScalarFirst = "qw qx qy qz", *kScalarLast = "qx qy
 struct PoseInterpretation {
     std::string about;             ///< description for notes
     PoseTrack world_from_vehicle;  ///< poses according to this meaning
-    /// True if this interpretation of the pose file is used only if it also makes scans
-    /// overlap better. A test of forward motion alone is not enough, because vehicles can
-    /// also drive backwards.
+    /// True if this meaning needs scans that overlap better. Forward motion is not
+    /// enough, because vehicles can also drive backwards.
     bool needs_scans = false;
 };
 
 /// Pairs of scans for testing poses. With correct poses, the scans of a pair overlap.
 class OverlapScanPairs {
 public:
-    /// Adds a pair of scans from the same LiDAR.
     /// @param first_points_m, second_points_m  positions in the vehicle frame
     void add_scan_pair(double first_time_s, std::vector<glm::vec3> first_points_m, double second_time_s,
                        std::vector<glm::vec3> second_points_m);
     bool empty() const { return pairs_.empty(); }
-    /// Returns how well the scans overlap with the given poses. This is the share of
-    /// points of the second scan that are in a grid cell with a point of the first scan.
+    /// Returns the share of points of the second scan in a grid cell with a point of the
+    /// first.
     double compute_scan_overlap_fraction(const PoseTrack& world_from_vehicle) const;
 
 private:
@@ -49,21 +47,18 @@ private:
 using OverlapScanPairReader = std::function<OverlapScanPairs()>;
 
 /// Returns the index of the meaning that fits the motion of the vehicle and the scans
-/// best. Returns 0, the documented meaning, unless another meaning is clearly better.
-/// Adds a note if the result is not 0, or if the vehicle drives backward and no scans
-/// show whether another meaning is right.
-/// @param interpretations  possible meanings, at least one
-/// @param read_scan_pairs_or_null  reads pairs of scans; called only if the motion
-/// contradicts the documented meaning; may be null
+/// best: 0, the documented meaning, unless another meaning is clearly better. Adds a note
+/// if the result is not 0, or if the vehicle drives backward and no scans decide.
+/// @param read_scan_pairs_or_null  called only if the motion contradicts the documented
+/// meaning
 /// @param error_location  name of the file, for the note
 std::size_t choose_pose_interpretation(const std::vector<PoseInterpretation>& interpretations,
                                        const OverlapScanPairReader& read_scan_pairs_or_null,
                                        const std::string& error_location, Notes& notes);
 
-/// Inverts the poses of a log if they are probably sensor-from-world poses, and adds a
-/// note. Condition: with the inverse, the vehicle drives forward and consecutive scans
-/// overlap better. Also decides the order of the quaternions if the reader could not. The
-/// log must already contain the scans.
+/// Inverts the poses of a log, with a note, if the vehicle then drives forward and
+/// consecutive scans overlap better. Also decides the order of the quaternions if the
+/// reader could not. The log must contain the scans.
 void correct_poses_if_stored_inverted(LidarSequence& sequence);
 
 }  // namespace relidar::folder

@@ -20,24 +20,20 @@ namespace {
 constexpr double kBin_rad = 0.01 * kPi / 180.0;
 constexpr int kLeastGap = 3;  // minimum number of empty bins between two bands
 constexpr std::size_t kFewestBands = 4;
-// Maximum width of a band (the points of one beam), relative to its distance from the
-// nearest other band.
+// Maximum width of the points of a beam, relative to the distance of the next beam.
 constexpr double kWidest = 0.5;
-// A bin of the elevation histogram counts as empty if it has fewer points than this share
-// of a well-filled bin (90th percentile).
+// A bin counts as empty below this share of a well-filled bin (90th percentile).
 constexpr double kStray = 0.005;
-// Beams do not start exactly at the sensor origin. So a near point, seen from this
-// origin, can have the elevation of another beam. Therefore each point is compared with
-// this many beams above and below its elevation.
+// A near point can have the elevation of another beam, because beams start beside the
+// origin. It is compared with this many beams above and below.
 constexpr std::ptrdiff_t kReach = 6;
 
 double compute_elevation(const glm::dvec3& vector) {
     return std::atan2(vector.z, std::hypot(vector.x, vector.y));
 }
 
-/// Returns elevations of points in ascending order. Uses only the farther half of the
-/// points in each degree of elevation. Near points are less accurate, because beams start
-/// beside the sensor origin.
+/// Uses only the farther half of the points in each degree of elevation, because beams
+/// start beside the sensor origin.
 std::vector<double> collect_sorted_elevations_of_far_points(const std::vector<LidarPoints>& scans) {
     struct PointRangeElevation {
         float range_m;
@@ -68,8 +64,7 @@ struct RingBand {
     double elevation_rad;  ///< median elevation of the band
 };
 
-/// Groups consecutive bins that have at least `min_points_per_bin` points. At least
-/// kLeastGap empty bins separate two groups.
+/// At least kLeastGap empty bins separate two groups.
 std::vector<RingBand> group_filled_elevation_bins(const std::vector<int>& points_per_bin,
                                                   double min_points_per_bin) {
     std::vector<RingBand> bands;
@@ -84,7 +79,7 @@ std::vector<RingBand> group_filled_elevation_bins(const std::vector<int>& points
 
 /// Adds narrow bands with few points, which belong to beams with few returns. Their
 /// distance from the previous band must be similar to the last distance between two
-/// bands. Stray points do not have such regular distances.
+/// bands, unlike that of stray points.
 /// @param candidate_bands  groups of all bins with points, in the order of the search
 /// @param strong_bands  bands with enough points, in the same order
 std::vector<RingBand> add_regularly_spaced_weak_bands(const std::vector<RingBand>& candidate_bands,
@@ -118,8 +113,7 @@ std::vector<RingBand> add_regularly_spaced_weak_bands(const std::vector<RingBand
     return complete;
 }
 
-/// Returns the bands in the histogram of elevations. A band is a group of filled bins and
-/// contains the points of one beam.
+/// A band is a group of filled bins and contains the points of one beam.
 std::vector<RingBand> find_elevation_bands(const std::vector<double>& sorted_elevations_rad) {
     const int n_bins = int(kPi / kBin_rad) + 1;
     const auto bin = [](double elevation) { return int((elevation + kPi / 2) / kBin_rad); };
@@ -152,7 +146,6 @@ std::vector<RingBand> find_elevation_bands(const std::vector<double>& sorted_ele
 std::vector<Beam> estimate_beams(const std::vector<LidarPoints>& scans) {
     const std::vector<RingBand> bands = find_elevation_bands(collect_sorted_elevations_of_far_points(scans));
     if (bands.size() < kFewestBands) return {};
-    // Every band must be narrow compared with its distance from the next band.
     for (std::size_t i = 0; i + 1 < bands.size(); ++i) {
         const double apart = (bands[i + 1].elevation_rad - bands[i].elevation_rad) / kBin_rad;
         for (const RingBand& band : {bands[i], bands[i + 1]})

@@ -13,57 +13,44 @@
 
 namespace relidar::folder {
 
-/// Known properties of the LiDAR and the frame of an image file. They replace values that
-/// the file does not contain.
+/// What an image file does not contain.
 struct ScanImageContext {
     const PointFileUnits& units;
     bool motion_compensated;  ///< what sequence.json says of all scans
     bool lowest_first;        ///< true if row 0 is the lowest beam
-    /// LiDAR that measured the image. Its sensor model defines the rays if the image file
-    /// contains no ray directions.
+    /// Its sensor model defines the rays if the file contains no ray directions.
     const Lidar& lidar;
     double time_s;  ///< time of the frame
 };
 
-/// Reads a scan from an npz file.
 /// @throws DataError if the file is damaged, an array is missing, or array sizes differ
 Scan read_scan_npz(const std::filesystem::path& file, const ScanImageContext& image_context);
-/// Reads a scan from an EXR image. The channels are range, median_range, intensity,
-/// drop_prob, time, ring, range_2, intensity_2 and so on, and x, y and z of the direction
-/// and of the origin.
-/// @throws DataError if the file is damaged, a channel is missing, or channel sizes
-/// differ
+/// The channels are range, median_range, intensity, drop_prob, time, ring, range_2,
+/// intensity_2 and so on, and x, y and z of the direction and of the origin.
 Scan read_scan_exr(const std::filesystem::path& file, const ScanImageContext& image_context);
-/// Reads a scan from an npz file or an EXR image.
 Scan read_scan_image(const std::filesystem::path& file, const ScanImageContext& image_context);
-/// Creates a scan from the named arrays of an npz or EXR file.
-/// @param error_location  name of the file, for error messages
 Scan make_scan_from_arrays(const std::string& error_location, std::vector<NamedArray> arrays,
                            const ScanImageContext& image_context);
 
-/// Writes a scan to an npz file without loss. If the scan is motion-compensated, all rays
-/// get the time 0.
+/// Writes without loss. If the scan is motion-compensated, all rays get the time 0.
 void write_scan_npz(const std::filesystem::path& file, const Scan& scan, bool motion_compensated);
 
-/// @param is_deskewed  true if the points of a scan file are motion-compensated
-/// (deskewed) or in the world frame
+/// @param is_deskewed  true if points are motion-compensated or in the world frame
 /// @param is_declared  true if sequence.json says that all scans are motion-compensated
 /// @throws DataError if the points are motion-compensated and not declared so
 void require_declared_deskewing(bool is_deskewed, bool is_declared, const std::string& error_location);
 
-/// Scales an intensity from a file to the range 0 to 1.
-/// @throws DataError if it is not a number, or if it is outside 0 to 1 and sequence.json
-/// contains no maximum intensity
+/// Scales an intensity to 0 to 1.
+/// @throws DataError for NaN, and for values outside 0 to 1 without a maximum intensity
 float normalise_file_intensity(double file_value, const PointFileUnits& units,
                                const std::string& error_location);
 /// No sweep is longer, and no point is farther in time from its frame.
 inline constexpr float kMaxTimeOffset_s = 10.0f;
 
-/// Converts a point time from a file to seconds relative to the time of the frame.
+/// Returns seconds relative to the time of the frame.
 /// @throws DataError if the result is longer than any sweep can be
 float convert_point_time_to_frame_offset_s(double file_value, const PointFileUnits& units,
                                            double frame_time_s, const std::string& error_location);
-/// Converts a ring number from a file to an integer.
 /// @throws DataError if the number is not a valid beam number
 std::uint16_t convert_ring_number(double file_value, const std::string& error_location);
 

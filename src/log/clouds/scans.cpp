@@ -32,12 +32,10 @@ struct RayPointIndices {
     int& get_point_index(std::size_t ring, std::size_t firing) { return point[ring * n_firings + firing]; }
 };
 
-/// Returns the return number of a point. 0 is the first return of a ray.
 std::size_t get_zero_based_return_number(const LidarPoints& points, std::size_t point_index) {
     return points.return_number.empty() ? 0 : std::size_t(points.return_number[point_index]) - 1;
 }
 
-/// Checks that all arrays have one entry per point and that the ring numbers are valid.
 /// @param n_beams  number of beams; 0 if rings are not needed
 void require_valid_point_arrays(const LidarPoints& points, std::size_t n_beams) {
     const auto check = [&](const char* field, std::size_t count, bool may_be_empty) {
@@ -63,7 +61,6 @@ void require_valid_point_arrays(const LidarPoints& points, std::size_t n_beams) 
     }
 }
 
-/// Returns, for each azimuth step of the head, the index of the nearest firing.
 std::vector<int> find_nearest_firing_per_tick(const std::vector<int>& firing_ticks, int n_ticks) {
     std::vector<int> nearest(static_cast<std::size_t>(n_ticks), kEmpty);
     for (std::size_t f = 0; f < firing_ticks.size(); ++f)
@@ -80,8 +77,7 @@ std::vector<int> find_nearest_firing_per_tick(const std::vector<int>& firing_tic
 }
 
 /// Returns for each column of a scan the index of its firing (one shot of all lasers at
-/// one azimuth). If the sweep has fewer firings than columns, several columns get the
-/// same firing.
+/// one azimuth). If the sweep has fewer firings than columns, columns share firings.
 std::vector<int> assign_firings_to_columns(const SweepFirings& sweep, int n_columns) {
     const std::size_t n = sweep.firings.size();
     std::vector<int> repeat(n, 1);
@@ -104,11 +100,9 @@ std::vector<int> assign_firings_to_columns(const SweepFirings& sweep, int n_colu
     return slot;
 }
 
-/// Assigns the points of a sweep to rays. First, second and later returns are stored in
-/// separate images.
+/// Assigns points to rays. First, second and later returns have separate images.
 class PointToRayAssignment {
 public:
-    /// Assigns all points to the rays of a sweep.
     /// @param head_rad  [points] azimuth of the head at the time of the point
     PointToRayAssignment(const LidarPoints& points, const SpinningSensor& sensor, const SweepFirings& sweep,
                          const std::vector<double>& head_rad)
@@ -122,8 +116,8 @@ public:
         for (std::size_t i = 0; i < points.size(); ++i) assign_far_point_to_ray_without_point(i);
     }
     std::vector<RayPointIndices> by_return;
-    /// [points] index of the firing (one shot of all lasers) that measured each point;
-    /// kEmpty if the point is too near or too far
+    /// [points] firing that measured each point; kEmpty if the point is too near or too
+    /// far
     std::vector<int> firing_of;
 
 private:
@@ -133,8 +127,7 @@ private:
     const SpinningSensor& sensor_;
     const SweepFirings& sweep_;
     const std::vector<double>& head_rad_;
-    /// [azimuth steps] index of the firing (one shot of all lasers) nearest to each
-    /// azimuth; empty if each point has a firing index
+    /// [azimuth steps] nearest firing; empty if each point has a firing index
     std::vector<int> nearest_;
 
     float compute_point_range(int point_index) const {
@@ -180,9 +173,7 @@ private:
         RayPointIndices& cells = get_or_add_point_indices_of_return(number);
         int point = static_cast<int>(point_index);
         for (const std::size_t f : {firing, (firing + 1) % n, (firing + n - 1) % n}) {
-            // A ray (ring, firing) stores only one point. If the ray of a first return is
-            // occupied, tries the same ring in the two neighbouring firings. A later
-            // return (number > 0) can only use the ray of its measured firing.
+            // If the ray of a first return is occupied, tries the neighbouring firings.
             if (cells.get_point_index(ring, f) != kEmpty || (number > 0 && f != firing)) continue;
             std::swap(cells.get_point_index(ring, f), point);
             column_of_.back() = static_cast<int>(f);
@@ -194,8 +185,7 @@ private:
         }
     }
 
-    /// Assigns a point beyond the sensor's maximum range to its ray, if the ray has no
-    /// point yet.
+    /// Does nothing if the ray already has a point.
     void assign_far_point_to_ray_without_point(std::size_t point_index) {
         if (!(double(compute_point_range(static_cast<int>(point_index))) > sensor_.max_range_m)) return;
         const std::size_t firing =
@@ -206,8 +196,8 @@ private:
     }
 };
 
-/// Returns the mean time of the points of each firing. For a firing without points,
-/// extrapolates from the nearest firing with points at the rotation rate of the head.
+/// Returns the mean time of the points of each firing. Extrapolates from the nearest
+/// firing with points at the rotation rate of the head.
 std::vector<double> compute_firing_times(const LidarPoints& points, const SpinningSensor& sensor,
                                          const SweepFirings& sweep, const std::vector<int>& firing_of_point) {
     const std::size_t n = sweep.firings.size();
@@ -224,7 +214,6 @@ std::vector<double> compute_firing_times(const LidarPoints& points, const Spinni
         }
     std::vector<double> measured = time_s;
     for (std::size_t f = 0; f < n; ++f) {
-        // nearest firing with points, before or after firing f
         std::size_t from = f;
         for (std::size_t d = 1; d < n && count[from] == 0.0; ++d) {
             if (f + d < n && count[f + d] > 0.0) from = f + d;
@@ -254,8 +243,7 @@ void resize_scan_arrays(Scan& scan, int rows, int columns, std::size_t n_second_
     scan.classes.assign(has_classes ? n : 0, SurfaceClass::unknown);
 }
 
-/// Marks a ray as dropped. Sets the origin and direction of the ideal beam; the range
-/// stays 0.
+/// The origin and direction are of the ideal beam; the range stays 0.
 void set_dropped_ray(Scan& scan, std::size_t ray_index, const BeamRayGenerator& beam,
                      double head_azimuth_rad) {
     const BeamRay model = beam.compute_ray(head_azimuth_rad);
@@ -263,11 +251,10 @@ void set_dropped_ray(Scan& scan, std::size_t ray_index, const BeamRayGenerator& 
     scan.rays.direction[ray_index] = glm::vec3(model.direction);
 }
 
-/// Sets the direction and range of a ray with a return. The direction is from the beam's
-/// origin to the point. Returns false and sets nothing if the point is too close to the
-/// origin.
-/// @param head_azimuth_rad  azimuth of the head at the time of the point. It gives the
-/// exact origin, even if the azimuths of the firings are rounded to regular steps.
+/// The direction is from the beam's origin to the point. Returns false if the point is
+/// too close to the origin.
+/// @param head_azimuth_rad  azimuth at the time of the point. It gives the exact origin,
+/// even if the azimuths of the firings are rounded.
 bool set_ray_with_return(Scan& scan, std::size_t ray_index, const BeamRayGenerator& beam,
                          double head_azimuth_rad, const LidarPoints& points, std::size_t point_index) {
     const glm::dvec3 p(points.position_m[point_index]);
@@ -283,7 +270,6 @@ bool set_ray_with_return(Scan& scan, std::size_t ray_index, const BeamRayGenerat
     return true;
 }
 
-/// Adds a second or later return of a ray, if the ray has a first return.
 void set_second_return(Scan& scan, std::size_t ray_index, const LidarPoints& points,
                        std::size_t point_index) {
     if (scan.range_m[ray_index] == 0.0f) return;

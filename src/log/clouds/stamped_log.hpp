@@ -18,21 +18,18 @@
 
 namespace relidar::stamped {
 
-/// A scan file of the log and its time stamp.
 struct StampedScanFile {
     int number = 0;          ///< number of the scan's frame
     std::int64_t stamp = 0;  ///< time of the scan in the unit of the dataset
     std::filesystem::path file;
 };
-/// Parses a time stamp of digits only, for example from a file name. Returns nothing for
-/// other texts.
+/// Parses a time stamp of digits only, for example from a file name.
 std::optional<std::int64_t> parse_integer_timestamp(std::string_view text);
-/// Lists the scan files of a folder, sorted by time and numbered from 0. The name of a
-/// file is its time stamp with the extension .bin.
+/// Lists the .bin files of a folder, which are named by their time stamps, sorted by time
+/// and numbered from 0.
 /// @throws DataError if the folder contains no such file
 std::vector<StampedScanFile> list_timestamped_scan_files(const std::filesystem::path& folder);
 
-/// One line of a table of poses.
 struct StampedPoseRow {
     std::int64_t stamp = 0;
     std::vector<double> values;  ///< the numbers after the time stamp; all are finite
@@ -40,26 +37,22 @@ struct StampedPoseRow {
 };
 /// Reads a CSV table whose lines contain a time stamp and numbers. Skips a header line,
 /// and repeated lines with the same time stamp.
-/// @param min_values_per_row  minimum number of values per line
 /// @throws DataError with file and line, also if time stamps decrease
 std::vector<StampedPoseRow> read_timestamped_number_rows(const std::filesystem::path& file,
                                                          std::size_t min_values_per_row);
 
 /// Direction in which a vehicle drives, measured in the frame of its sensor.
 struct DrivingDirection {
-    /// Mean of the unit vectors between consecutive positions. Its length is 1 if the
-    /// direction never changes, and 0 if the vehicle does not move.
+    /// Mean of the unit vectors between consecutive positions; its length is at most 1.
     glm::dvec3 mean{0.0};
     double rise_spread = 0.0;  ///< standard deviation of the z components of the unit vectors
     std::size_t n_steps = 0;   ///< number of position changes of at least one metre
 };
 DrivingDirection estimate_driving_direction(const PoseTrack& world_from_sensor);
-/// Adds a warning to the notes if the vehicle does not seem to drive forward.
-/// @param forward_fraction  x component of the mean driving direction, at most 1
+/// @param forward_fraction  x component of the mean driving direction
 void add_note_unless_driving_forward(Notes& notes, double forward_fraction);
 
-/// The scan files of a log with their time stamps, and the poses of the log. Does not
-/// contain the points.
+/// The scan files and poses of a log, without the points.
 struct StampedLog {
     double unit_s = 1.0;                 ///< unit of the time stamps in seconds
     std::vector<StampedScanFile> scans;  ///< all scans of the log; the time of the first scan is 0 s
@@ -75,8 +68,7 @@ struct StampedLog {
     }
 };
 /// Adds the scans of the requested range to the log as frames. Moves the origin of the
-/// world near the log. The poses are from the dataset or from DatasetOptions::poses_file.
-/// Skips scans without a pose and adds a note.
+/// world near the log. Skips scans without a pose and adds a note.
 /// @return files of the scans
 /// @throws UsageError if the range contains no scan
 /// @throws DataError if no scan in the range has a pose
@@ -84,19 +76,16 @@ std::vector<std::filesystem::path> add_frames_and_get_scan_files(LidarSequence& 
                                                                  const StampedLog& log,
                                                                  const DatasetOptions& options);
 
-/// Checks that the log has a pose file, or that the user selects another source of poses.
-/// @throws DataError if there are no poses
+/// @throws DataError if the log has no pose file and the user selects no other poses
 void require_pose_file_or_poses_option(const std::filesystem::path& pose_file, const DatasetOptions& options);
 
-/// Format of the files that contain the points of a LiDAR.
 struct PointFileFormat {
     folder::PointFileUnits units;
     double sweep_duration_s = 0.1;  ///< duration of a sweep in seconds; used if the points have no times
     double turned_rad = 0.0;        ///< rotation about z from the axes in the files to relidar's axes
-    /// Beams from the data sheet of the LiDAR, for files without ring numbers. Each point
-    /// gets the ring of the beam with the nearest elevation. The beam angles are first
-    /// fitted to the points. If the points do not match the data sheet, it is ignored,
-    /// and the beams are estimated only from the elevations of the points.
+    /// Beams from the data sheet, for files without ring numbers. Each point gets the
+    /// ring of the beam with the nearest elevation, after the angles were fitted to the
+    /// points. Points of another LiDAR are read without rings.
     std::vector<Beam> beams = {};
     /// Function that adds values which the files do not contain, such as rings and times.
     /// Several threads can call it at the same time. May be empty.

@@ -19,9 +19,8 @@ constexpr double kLeast_m = 1e-3;
 // A rotation is measured in metres: how far it moves a point at this distance.
 constexpr double kReach_m = 50.0;
 
-/// Returns the errors of interpolated sensor poses during a sweep, as transforms from
-/// true to interpolated sensor coordinates. The errors exist because the log has only one
-/// pose per `frame` (sweep). Times are relative to the time of `frame`.
+/// Returns transforms from true to interpolated sensor coordinates, at times relative to
+/// the frame. The log has only one pose per frame.
 PoseTrack compute_pose_corrections(const LidarSequence& sequence, const LidarFrame& frame,
                                    const PoseLookup& find_vehicle_pose) {
     const Pose& mounted = sequence.get_lidar(frame).vehicle_from_sensor;
@@ -39,13 +38,11 @@ PoseTrack compute_pose_corrections(const LidarSequence& sequence, const LidarFra
     return track;
 }
 
-/// Applies pose corrections to the origins and directions of all rays of a frame.
 /// @return maximum distance in metres by which a point is moved
 double move_rays_and_get_max_displacement_m(LidarFrame& frame, const PoseTrack& pose_corrections) {
     double farthest_m = 0.0;
     for (const Pose& pose : pose_corrections.pose) {
         const double sine = glm::length(glm::dvec3(pose.rotation.x, pose.rotation.y, pose.rotation.z));
-        // how far the correction can move a point that is kReach_m from the sensor
         const double displacement_m =
             glm::length(pose.translation) + kReach_m * 2.0 * std::asin(std::min(sine, 1.0));
         farthest_m = std::max(farthest_m, displacement_m);

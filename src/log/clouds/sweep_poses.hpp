@@ -14,10 +14,9 @@ namespace relidar::bag {
 /// Returns the vehicle pose at a time in seconds. Returns nothing if the pose is unknown.
 using PoseLookup = std::function<std::optional<Pose>(double)>;
 
-/// Corrects the rays of each sweep, so that each ray starts at the true sensor position.
-/// A log interpolates linearly between the poses of its frames. In a curve at 10 m/s and
-/// 0.5 rad/s, the interpolated position is wrong by 5 cm. Sweeps with an error below a
-/// millimetre are not changed.
+/// Moves each ray to the true sensor position. A log interpolates linearly between the
+/// poses of its frames. In a curve at 10 m/s and 0.5 rad/s, the interpolated position is
+/// wrong by 5 cm. Sweeps with an error below a millimetre are not changed.
 /// @param find_vehicle_pose  vehicle pose by time, in the world frame of the log
 /// @return a note, or an empty string if no sweep was changed
 std::string correct_rays_for_vehicle_motion(LidarSequence& sequence, const PoseLookup& find_vehicle_pose);

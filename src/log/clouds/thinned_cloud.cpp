@@ -12,13 +12,11 @@ namespace {
 constexpr double kFewFilled = 0.3;    // minimum share of rays with a return, if no points were removed
 constexpr double kFewRegular = 0.78;  // minimum share of regular azimuth steps, if no points were removed
 constexpr double kRegular = 1.5;      // A step is regular if it is at most this multiple of the median step.
-// Azimuth steps from point to point are ignored if they are smaller than kShortest_rad or
-// larger than kLongest_rad.
+// Limits of azimuth steps from point to point that count.
 constexpr double kShortest_rad = 1e-5, kLongest_rad = 0.2;
 
-/// Returns the number of regular steps / the number of all steps. A step is the azimuth
-/// difference between neighbouring points of a ring. It is regular if it is at most
-/// kRegular times the median step.
+/// A step between neighbouring points of a ring is regular if it is at most kRegular
+/// times the median step.
 double compute_fraction_of_regular_azimuth_steps(const LidarPoints& scan) {
     std::vector<std::pair<std::uint16_t, double>> rings_and_azimuths;  // ring and azimuth
     for (std::size_t i = 0; i < scan.size(); ++i)
