@@ -15,9 +15,8 @@
 
 namespace relidar {
 
-/// Points in one frame, with one array per property. The position of each point is always
-/// known. Each other array has one entry per point, or is empty if the property is
-/// unknown.
+/// Points in one frame, with an array per property. Arrays other than the position may be
+/// empty.
 struct LidarPoints {
     std::vector<glm::vec3> position_m;     ///< [n] positions in metres
     std::vector<float> intensity = {};     ///< [n] intensities, 0..1

@@ -13,8 +13,8 @@ namespace relidar {
 struct RangeImage {
     int rows = 0;
     int columns = 0;
-    /// [rows*columns] range in metres along the ray. The value is 0 if the ray was
-    /// dropped (measured image) or if it hit nothing (rendered image).
+    /// [rows*columns] metres along the ray; 0 if it was dropped (measured) or hit nothing
+    /// (rendered)
     std::vector<float> range_m;
     std::vector<float> intensity;      ///< [rows*columns] intensity
     std::vector<float> drop_prob;      ///< [rows*columns] drop probability. It is 0 or 1 in a measured image.
@@ -22,18 +22,15 @@ struct RangeImage {
     std::vector<glm::vec3> direction;  ///< [rows*columns] unit vector, sensor frame
 };
 
-/// Threshold of the drop probability. A ray counts as dropped if its drop probability is
-/// at least this threshold. Output files always use this threshold. It is the default of
-/// the strict metrics.
+/// A ray counts as dropped from this drop probability on: in output files, and by default
+/// in the strict metrics.
 inline constexpr float kDropThreshold = 0.5f;
-/// Returns true if a ray counts as a return. The ray must have hit something, and its
-/// drop probability must be below kDropThreshold.
+/// Returns true if the ray hit something and is not dropped.
 inline bool is_ray_returned(float drop_prob, float range_m) {
     return drop_prob < kDropThreshold && range_m > 0.0f;
 }
 
-/// Returns false if every pixel has intensity 0. This is the case if the log has no
-/// intensities.
+/// Returns false if every pixel has intensity 0, because the log has no intensities.
 inline bool has_intensities(const RangeImage& image) {
     return std::ranges::any_of(image.intensity, [](float intensity) { return intensity > 0.0f; });
 }
