@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <numeric>
 #include <optional>
 
 #include <relidar/base/math.hpp>
@@ -109,27 +110,16 @@ std::vector<double> compute_median_ring_elevations(const LidarPoints& points,
     return elevations;
 }
 
-/// Returns the median of |elevation of a point - elevation of its ring|.
-double compute_median_ring_elevation_error(const LidarPoints& points,
-                                           const std::vector<std::uint16_t>& ring_of_point,
-                                           const std::vector<double>& ring_elevations_rad) {
-    std::vector<double> off;
-    off.reserve(points.size());
+/// Returns |elevation of a point - elevation of its ring|.
+std::vector<double> compute_ring_elevation_errors(const LidarPoints& points,
+                                                  const std::vector<std::uint16_t>& ring_of_point,
+                                                  const std::vector<double>& ring_elevations_rad) {
+    std::vector<double> errors;
+    errors.reserve(points.size());
     for (std::size_t i = 0; i < points.size(); ++i)
-        off.push_back(std::abs(compute_point_elevation_rad(points.position_m[i]) -
-                               ring_elevations_rad[ring_of_point[i]]));
-    return compute_median(off);
-}
-
-/// Unlike the median, the mean increases even if only a few points are in a wrong ring.
-double compute_mean_ring_elevation_error(const LidarPoints& points,
-                                         const std::vector<std::uint16_t>& ring_of_point,
-                                         const std::vector<double>& ring_elevations_rad) {
-    double sum = 0.0;
-    for (std::size_t i = 0; i < points.size(); ++i)
-        sum += std::abs(compute_point_elevation_rad(points.position_m[i]) -
-                        ring_elevations_rad[ring_of_point[i]]);
-    return sum / double(points.size());
+        errors.push_back(std::abs(compute_point_elevation_rad(points.position_m[i]) -
+                                  ring_elevations_rad[ring_of_point[i]]));
+    return errors;
 }
 
 /// Selects the azimuth with the smallest deviation of points from their rings.
@@ -143,7 +133,11 @@ double find_ring_start_azimuth_rad(const LidarPoints& points,
     }
     const auto spread = [&](double first_rad) {
         const std::vector<std::uint16_t> ring = compute_revolution_numbers(some_turned, first_rad);
-        return compute_mean_ring_elevation_error(some, ring, compute_median_ring_elevations(some, ring));
+        const std::vector<double> errors =
+            compute_ring_elevation_errors(some, ring, compute_median_ring_elevations(some, ring));
+        // Unlike the median, the mean increases even if only a few points are in a wrong
+        // ring.
+        return std::accumulate(errors.begin(), errors.end(), 0.0) / double(errors.size());
     };
     double least = INFINITY, best_rad = 0.0;
     for (const int step_deg : {10, 1}) {
@@ -176,7 +170,7 @@ bool are_rings_sorted_and_separated(const LidarPoints& points,
     }
     if (steps.empty() || double(std::max(n_up, n_down)) < kSorted * double(ring_elevations_rad.size() - 1))
         return false;
-    return compute_median_ring_elevation_error(points, ring_of_point, ring_elevations_rad) <
+    return compute_median(compute_ring_elevation_errors(points, ring_of_point, ring_elevations_rad)) <
            kInRing * compute_median(steps);
 }
 

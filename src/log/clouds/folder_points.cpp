@@ -51,9 +51,8 @@ std::vector<char> flag_no_return_points(const PointTable& table, const std::vect
     std::vector<char> marked;
     if (!ranges) return marked;
     marked.resize(table.n);
-    ranges->call_with_value_reader([&](const auto& range_at) {
-        for (std::size_t i = 0; i < table.n; ++i) marked[i] = !is_valid_return_range(double(range_at(i)));
-    });
+    ranges->for_each(table.n,
+                     [&](std::size_t i, double range) { marked[i] = !is_valid_return_range(range); });
     if (!do_ranges_match_point_distances(*ranges, points, marked)) marked.clear();
     return marked;
 }
@@ -64,9 +63,8 @@ std::pair<std::vector<std::uint32_t>, std::vector<glm::vec3>> select_return_poin
     const PointFileUnits& units) {
     std::vector<glm::vec3> all(table.n);
     for (int axis = 0; axis < 3; ++axis)
-        xyz_fields[std::size_t(axis)]->call_with_value_reader([&](const auto& value_at) {
-            for (std::size_t i = 0; i < table.n; ++i) all[i][axis] = float(value_at(i));
-        });
+        xyz_fields[std::size_t(axis)]->for_each(
+            table.n, [&](std::size_t i, double value) { all[i][axis] = float(value); });
     const std::vector<char> marked = flag_no_return_points(table, all);
     std::pair<std::vector<std::uint32_t>, std::vector<glm::vec3>> returns;
     returns.first.reserve(table.n);
@@ -136,9 +134,8 @@ void convert_times(LidarPoints& points, const PointFieldConverter& convert, Poin
 /// this is the smallest number.
 double find_number_used_for_first_returns(const PointFieldView& return_numbers, std::size_t n_points) {
     double least = return_numbers[0];
-    return_numbers.call_with_value_reader([&](const auto& number_at) {
-        for (std::size_t i = 1; i < n_points; ++i)
-            if (const auto value = double(number_at(i)); value < least) least = value;
+    return_numbers.for_each(n_points, [&](std::size_t, double value) {
+        if (value < least) least = value;
     });
     return least == 1.0 ? 1.0 : 0.0;
 }

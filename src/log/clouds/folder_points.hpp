@@ -26,6 +26,11 @@ struct MostTimesWrong : DataError {
 LidarPoints convert_table_to_points(const PointTable& table, const PointFileUnits& units, double frame_time_s,
                                     const std::string& error_location);
 
+/// Estimates the units that are not known, from the points of some scans. If several
+/// intensity scales are possible, sets none. Intensities above 1 are then an error.
+void estimate_missing_point_units(PointFileUnits& units, const std::vector<std::filesystem::path>& scan_files,
+                                  Notes& notes);
+
 /// Scan of each frame, from files or messages. Several threads can call the functions at
 /// the same time.
 class ScanProvider {

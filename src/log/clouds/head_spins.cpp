@@ -1,11 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "log/clouds/head_spins.hpp"
-
+// Checks whether points come from a spinning LiDAR. Other LiDARs scan a window or a
+// rosette pattern.
 #include <algorithm>
 #include <array>
 #include <cmath>
 
 #include <fmt/format.h>
+
+#include "log/clouds/scan_plan.hpp"
 
 namespace relidar {
 namespace {
@@ -75,15 +77,13 @@ std::string explain_why_not_spinning(const std::vector<LidarPoints>& scans,
             "forward, y left, z up)",
             spread * 180.0 / kPi);
     const double gap = compute_widest_azimuth_gap(scans);
-    if (gap < kLeastGap_rad) return "";
-    const std::string window =
-        fmt::format("all points are within a sector of {:.0f} degrees of azimuth", 360.0 - gap * 180.0 / kPi);
-    if (fullest->time_offset_s.empty()) return "";
-    if (std::abs(fitted_sensor.period_s - frame_interval_s) < kOtherPeriod * frame_interval_s) return "";
+    if (gap < kLeastGap_rad || fullest->time_offset_s.empty() ||
+        std::abs(fitted_sensor.period_s - frame_interval_s) < kOtherPeriod * frame_interval_s)
+        return "";
     return fmt::format(
-        "{}, and the times of the points show a revolution of {:.3f} s, but a revolution should take {:.3f} "
-        "s",
-        window, fitted_sensor.period_s, frame_interval_s);
+        "all points are within a sector of {:.0f} degrees of azimuth, and the times of the points show a "
+        "revolution of {:.3f} s, but a revolution should take {:.3f} s",
+        360.0 - gap * 180.0 / kPi, fitted_sensor.period_s, frame_interval_s);
 }
 
 }  // namespace relidar

@@ -1,11 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "log/clouds/missing_units.hpp"
-
+// Estimates units of point values that sequence.json does not contain.
 #include <algorithm>
-#include <iterator>
 
 #include <relidar/base/arrays.hpp>
-#include <relidar/base/error.hpp>
 
 #include "log/clouds/folder_points.hpp"
 #include "log/clouds/point_meaning.hpp"
@@ -17,43 +14,29 @@ namespace {
 
 namespace fs = std::filesystem;
 
-/// Reads a few files, evenly spread over the log. Errors are reported when all scans are
-/// read.
 std::vector<PointTable> read_sample_tables(const std::vector<fs::path>& scan_files,
                                            const std::vector<std::string>& column_names) {
     std::vector<fs::path> with_points = scan_files;
     if (!has_npz_points(scan_files))
         std::erase_if(with_points, [](const fs::path& file) { return !is_point_file(file); });
     std::vector<PointTable> samples;
-    const std::size_t n = std::min(kSampleScans, with_points.size());
-    for (std::size_t k = 0; k < n; ++k) {
-        try {
-            samples.push_back(read_point_file(with_points[k * with_points.size() / n], column_names));
-        } catch (const DataError&) {
-            continue;
-        }
-    }
+    read_samples(with_points.size(),
+                 [&](std::size_t i) { samples.push_back(read_point_file(with_points[i], column_names)); });
     return samples;
 }
 
-std::vector<PointTable> read_sample_images(const std::vector<fs::path>& scan_files) {
-    std::vector<fs::path> images;
-    std::ranges::copy_if(scan_files, std::back_inserter(images),
-                         [](const fs::path& file) { return file.extension() == ".npz"; });
+/// Reads the arrays "intensity" and "time" of a few .npz files with rays.
+std::vector<PointTable> read_sample_images(std::vector<fs::path> files) {
+    std::erase_if(files, [](const fs::path& file) { return file.extension() != ".npz"; });
     std::vector<PointTable> samples;
-    const std::size_t n = std::min(kSampleScans, images.size());
-    for (std::size_t k = 0; k < n; ++k) {
-        try {
-            const std::vector<NamedArray> arrays = read_npz(images[k * images.size() / n]);
-            PointTable& table = samples.emplace_back(arrays.empty() ? 0 : arrays[0].count_array_elements());
-            for (const char* name : {"intensity", "time"})
-                if (const NamedArray* array = find_array(arrays, name);
-                    array && array->count_array_elements() == table.n)
-                    table.add_value_field(name, ScalarType::f8, array->convert_to_doubles(), "");
-        } catch (const DataError&) {
-            continue;  // the error is reported when the scan is read
-        }
-    }
+    read_samples(files.size(), [&](std::size_t i) {
+        const std::vector<NamedArray> arrays = read_npz(files[i]);
+        PointTable& table = samples.emplace_back(arrays.empty() ? 0 : arrays[0].count_array_elements());
+        for (const char* name : {"intensity", "time"})
+            if (const NamedArray* array = find_array(arrays, name);
+                array && array->count_array_elements() == table.n)
+                table.add_value_field(name, ScalarType::f8, array->convert_to_doubles(), "");
+    });
     return samples;
 }
 

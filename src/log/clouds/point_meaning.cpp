@@ -25,18 +25,12 @@ constexpr double kLeastMarked = 0.01, kMostMarked = 0.95;
 constexpr std::size_t kFewestMarked = 16;
 constexpr std::size_t kLooks = 1024;  // maximum number of points that are tested for repeated positions
 
-template <class Use>
-void for_each_value(const PointFieldView& field, std::size_t count, const Use& visit_value) {
-    field.call_with_value_reader([&](const auto& value_at) {
-        for (std::size_t i = 0; i < count; ++i) visit_value(double(value_at(i)));
-    });
-}
-
 bool is_field_all_zero(const std::vector<PointTable>& clouds, const std::string& field_name) {
     bool is_zero = true;
     for (const PointTable& cloud : clouds)
         if (const PointFieldView* values = cloud.find_field(field_name))
-            for_each_value(*values, cloud.n, [&](double value) { is_zero = is_zero && !(value != 0.0); });
+            values->for_each(cloud.n,
+                             [&](std::size_t, double value) { is_zero = is_zero && !(value != 0.0); });
     return is_zero;
 }
 
@@ -156,7 +150,7 @@ PointFieldSemantics interpret_point_fields(const std::vector<PointTable>& sample
     std::vector<double> intensities;
     for (const PointTable& cloud : sample_clouds)
         if (const PointFieldView* values = cloud.find_field(meaning.intensity_field))
-            for_each_value(*values, cloud.n, [&](double value) { intensities.push_back(value); });
+            values->for_each(cloud.n, [&](std::size_t, double value) { intensities.push_back(value); });
     meaning.scale = estimate_intensity_scale(intensities);
     meaning.returns = find_unnumbered_returns(sample_clouds);
     for (const std::string& text :

@@ -29,16 +29,6 @@ struct PcdHeader {
     std::size_t length = 0;  ///< bytes of the header
 };
 
-std::vector<std::string> split_words(std::string_view line) {
-    std::vector<std::string> words;
-    for (line = trim_blanks_at_both_ends(line); !line.empty(); line = trim_blanks_at_both_ends(line)) {
-        const std::size_t end = std::min(line.find_first_of(" \t"), line.size());
-        words.emplace_back(line.substr(0, end));
-        line.remove_prefix(end);
-    }
-    return words;
-}
-
 std::vector<double> parse_numbers_after_keyword(const std::vector<std::string>& words,
                                                 const std::string& error_location) {
     std::vector<double> numbers;

@@ -300,6 +300,16 @@ PointTable make_table_of_binary_points(const SharedBytes& data, const std::vecto
     return table;
 }
 
+std::vector<std::string> split_words(std::string_view line) {
+    std::vector<std::string> words;
+    for (line = trim_blanks_at_both_ends(line); !line.empty(); line = trim_blanks_at_both_ends(line)) {
+        const std::size_t end = std::min(line.find_first_of(" \t"), line.size());
+        words.emplace_back(line.substr(0, end));
+        line.remove_prefix(end);
+    }
+    return words;
+}
+
 PointTable parse_point_lines(std::string_view text, const std::vector<PointField>& fields,
                              std::size_t n_points, const std::string& error_location) {
     require_valid_point_count(n_points, error_location);
@@ -359,25 +369,6 @@ PointTable read_point_file_with_header(const fs::path& file,
     return table;
 }
 
-PointTable read_points_of_format(const fs::path& file, const std::vector<std::string>& column_names) {
-    static const std::vector<std::string> kKitti = {"x", "y", "z", "intensity"};
-    const std::string ending = file.extension().string();
-    if (ending == ".bin") return read_float32_points(file, column_names.empty() ? kKitti : column_names);
-    if (ending == ".npy") return read_npy_points(file, column_names.empty() ? kKitti : column_names);
-    if (ending == ".npz") return read_npz_points(file, column_names);
-    if (ending == ".pcd") return read_point_file_with_header(file, parse_pcd_points);
-    if (ending == ".ply") return read_point_file_with_header(file, parse_ply_points);
-    if (ending == ".las") return parse_las_points(make_shared_bytes(read_file(file)), file.string());
-    if (ending == ".csv" || ending == ".xyz")
-        return parse_text_points(make_shared_bytes(read_file(file)), column_names, file.string());
-    if (const std::string other = describe_unsupported_format(file); !other.empty())
-        fail("{}: {}", file.string(), other);
-    fail(
-        "{}: found the file name ending '{}', expected .npz, .exr, .pcd, .ply, .bin, .npy, .las, .csv or "
-        ".xyz",
-        file.string(), shorten_for_error_message(ending));
-}
-
 }  // namespace
 
 bool has_npz_points(const std::vector<fs::path>& scan_files) {
@@ -397,7 +388,22 @@ bool has_npz_points(const std::vector<fs::path>& scan_files) {
 }
 
 PointTable read_point_file(const fs::path& file, const std::vector<std::string>& column_names) {
-    return read_points_of_format(file, column_names);
+    static const std::vector<std::string> kKitti = {"x", "y", "z", "intensity"};
+    const std::string ending = file.extension().string();
+    if (ending == ".bin") return read_float32_points(file, column_names.empty() ? kKitti : column_names);
+    if (ending == ".npy") return read_npy_points(file, column_names.empty() ? kKitti : column_names);
+    if (ending == ".npz") return read_npz_points(file, column_names);
+    if (ending == ".pcd") return read_point_file_with_header(file, parse_pcd_points);
+    if (ending == ".ply") return read_point_file_with_header(file, parse_ply_points);
+    if (ending == ".las") return parse_las_points(make_shared_bytes(read_file(file)), file.string());
+    if (ending == ".csv" || ending == ".xyz")
+        return parse_text_points(make_shared_bytes(read_file(file)), column_names, file.string());
+    if (const std::string other = describe_unsupported_format(file); !other.empty())
+        fail("{}: {}", file.string(), other);
+    fail(
+        "{}: found the file name ending '{}', expected .npz, .exr, .pcd, .ply, .bin, .npy, .las, .csv or "
+        ".xyz",
+        file.string(), shorten_for_error_message(ending));
 }
 
 }  // namespace relidar::folder

@@ -4,6 +4,7 @@
 // of the file.
 #pragma once
 
+#include <algorithm>
 #include <cstddef>
 #include <cstdint>
 #include <cstring>
@@ -15,6 +16,8 @@
 #include <string_view>
 #include <utility>
 #include <vector>
+
+#include <relidar/base/error.hpp>
 
 #include "base/shared_bytes.hpp"
 
@@ -75,7 +78,14 @@ public:
                 return callback(make_value_reader<std::uint64_t>());
         }
     }
-    /// Returns one value. To read many values, call_with_value_reader() is faster.
+    /// Calls visit(i, value) for the first n points.
+    template <class Visit>
+    void for_each(std::size_t n, const Visit& visit) const {
+        call_with_value_reader([&](const auto& value_at) {
+            for (std::size_t i = 0; i < n; ++i) visit(i, double(value_at(i)));
+        });
+    }
+    /// Returns one value. To read many values, for_each() is faster.
     double operator[](std::size_t index) const {
         double value = 0.0;
         call_with_value_reader([&](const auto& value_at) { value = double(value_at(index)); });
@@ -147,6 +157,8 @@ void require_valid_point_count(std::size_t n_points, const std::string& error_lo
 PointTable make_table_of_binary_points(const SharedBytes& data, const std::vector<PointField>& fields,
                                        std::size_t n_points, PointMemoryLayout memory_layout,
                                        const std::string& error_location);
+/// Splits a line at blanks and tabs.
+std::vector<std::string> split_words(std::string_view line);
 /// Parses `n_points` lines of numbers that are separated by blanks, one line per point.
 PointTable parse_point_lines(std::string_view text, const std::vector<PointField>& fields,
                              std::size_t n_points, const std::string& error_location);
@@ -154,6 +166,22 @@ PointTable parse_point_lines(std::string_view text, const std::vector<PointField
 bool is_point_file(const std::filesystem::path& file);
 /// Returns true if each pixel of the file is a ray.
 bool is_image_file(const std::filesystem::path& file);
+/// Number of scans per LiDAR from which units and beams are estimated.
+inline constexpr std::size_t kSampleScans = 6;
+/// Calls read(i) for at most kSampleScans of n indices, evenly spread. Ignores errors,
+/// because they are reported when the scans are read.
+template <class Read>
+void read_samples(std::size_t n_all, const Read& read) {
+    const std::size_t n = std::min(kSampleScans, n_all);
+    for (std::size_t k = 0; k < n; ++k) {
+        try {
+            read(k * n_all / n);
+        } catch (const DataError&) {
+            continue;
+        }
+    }
+}
+
 /// Returns true if the .npz files of a log contain points, and false if they contain
 /// rays.
 /// @throws DataError if the first .npz file contains neither

@@ -19,18 +19,6 @@ namespace {
 constexpr std::size_t kMostTextFields = 1024;
 constexpr std::size_t kNpyPrefix = 8;  // size of the magic string and the version of a .npy file
 
-std::vector<PointField> parse_field_name_line(std::string_view line) {
-    std::vector<PointField> fields;
-    for (line = trim_blanks_at_both_ends(line); !line.empty(); line = trim_blanks_at_both_ends(line)) {
-        const std::size_t end = std::min(line.find_first_of(" \t"), line.size());
-        std::string name(line.substr(0, end));
-        std::erase(name, '"');
-        fields.push_back({std::move(name), 'F', sizeof(double)});
-        line.remove_prefix(end);
-    }
-    return fields;
-}
-
 std::vector<PointField> make_named_fields(const std::vector<std::string>& names) {
     std::vector<PointField> fields;
     for (const std::string& name : names) fields.push_back({name, 'F', sizeof(double)});
@@ -161,7 +149,10 @@ PointTable parse_text_points(const SharedBytes& file, const std::vector<std::str
     } else {
         std::string_view names = trim_blanks_at_both_ends(first_line());
         names.remove_prefix(std::min(names.find_first_not_of("#/ "), names.size()));
-        fields = parse_field_name_line(names);
+        for (std::string& name : split_words(names)) {
+            std::erase(name, '"');
+            fields.push_back({std::move(name), 'F', sizeof(double)});
+        }
         skip_line();
     }
     if (fields.size() > kMostTextFields)

@@ -5,7 +5,6 @@
 #include <array>
 #include <cmath>
 #include <iterator>
-#include <limits>
 #include <type_traits>
 #include <utility>
 
@@ -35,33 +34,34 @@ constexpr double kShortestSpan = 0.01, kLongestSpan = 3.0;
 constexpr double kLargestStep_rad = 0.2;
 
 /// Sets `limit` to a value below the times before the overflow and above the other times.
-template <class TimeAt>
-bool is_period_of_times(const TimeAt& time_at, std::size_t n, std::array<double, 2> range, double period,
+bool is_period_of_times(const std::vector<double>& times, std::array<double, 2> range, double period,
                         double& limit) {
     const auto [first, last] = range;
     if (last - first < kLeastSpan * period || last - first > period) return false;
     limit = 0.5 * (first + last);
     double before = first, after = last;
-    for (std::size_t i = 0; i < n; ++i) {
-        const auto t = double(time_at(i));
+    for (const double t : times) {
         if (t < limit) before = std::max(before, t);
         else after = std::min(after, t);
     }
     return after - before > kLeastPause * period && after - before < last - first;
 }
 
-template <class TimeAt>
-std::array<double, 2> find_value_range(const TimeAt& time_at, std::size_t n) {
-    std::array<double, 2> range{std::numeric_limits<double>::infinity(),
-                                -std::numeric_limits<double>::infinity()};
-    for (std::size_t i = 0; i < n; ++i)
-        if (const auto t = double(time_at(i)); std::isfinite(t))
-            range = {std::min(range[0], t), std::max(range[1], t)};
+std::array<double, 2> find_value_range(const std::vector<double>& times) {
+    std::array<double, 2> range{INFINITY, -INFINITY};
+    for (const double t : times)
+        if (std::isfinite(t)) range = {std::min(range[0], t), std::max(range[1], t)};
     return range;
 }
 
+std::vector<double> read_times(const PointTable& table) {
+    const PointFieldView* field = table.find_field(PointAttribute::time);
+    std::vector<double> times(field ? table.n : 0);
+    if (field) field->for_each(table.n, [&](std::size_t i, double t) { times[i] = t; });
+    return times;
+}
+
 void replace_times(PointTable& table, std::vector<double> times) {
-    if (times.empty()) return;
     table.remove_fields_with_attribute(PointAttribute::time);
     table.add_value_field("time", ScalarType::f8, std::move(times), "");
 }
@@ -78,13 +78,8 @@ std::pair<double, std::size_t> estimate_span(const std::vector<Number>& sorted) 
 }  // namespace
 
 std::optional<std::array<double, 2>> find_time_range(const PointTable& table) {
-    const PointFieldView* field = table.find_field(PointAttribute::time);
-    std::vector<double> times;
-    if (field)
-        field->call_with_value_reader([&](const auto& time_at) {
-            for (std::size_t i = 0; i < table.n; ++i)
-                if (const auto t = double(time_at(i)); std::isfinite(t)) times.push_back(t);
-        });
+    std::vector<double> times = read_times(table);
+    std::erase_if(times, [](double t) { return !std::isfinite(t); });
     if (times.empty()) return std::nullopt;
     std::ranges::sort(times);
     constexpr double kFar = 10.0;  // points can be in a small part of the sweep
@@ -96,66 +91,55 @@ std::optional<std::array<double, 2>> find_time_range(const PointTable& table) {
 }
 
 void unwrap_point_times(PointTable& table, bool are_offsets) {
-    const PointFieldView* times = table.find_field(PointAttribute::time);
-    std::vector<double> unwrapped;
-    if (times)
-        times->call_with_value_reader([&](const auto& time_at) {
-            const std::array<double, 2> range = find_value_range(time_at, table.n);
-            double limit = 0.0, period = 0.0;
-            const auto test = [&](double candidate) {
-                if ((period == 0.0 || candidate < period) &&
-                    is_period_of_times(time_at, table.n, range, candidate, limit))
-                    period = candidate;
-            };
-            std::ranges::for_each(kPeriods, test);
-            for (const double period_s : kClockPeriods_s)
-                for (const double unit : kUnitsOfSecond)
-                    // Clocks can repeat a second or an hour without being 0 there.
-                    if (!are_offsets && (period_s == 1.0 || period_s == 3600.0 ||
-                                         (range[0] >= 0.0 && range[1] <= period_s * unit)))
-                        test(period_s * unit);
-            for (std::size_t i = 0; period > 0.0 && i < table.n; ++i)
-                unwrapped.push_back(double(time_at(i)) - (double(time_at(i)) >= limit ? period : 0.0));
-        });
-    replace_times(table, std::move(unwrapped));
+    std::vector<double> times = read_times(table);
+    const std::array<double, 2> range = find_value_range(times);
+    double limit = 0.0, period = 0.0;
+    const auto test = [&](double candidate) {
+        if ((period == 0.0 || candidate < period) && is_period_of_times(times, range, candidate, limit))
+            period = candidate;
+    };
+    std::ranges::for_each(kPeriods, test);
+    for (const double period_s : kClockPeriods_s)
+        for (const double unit : kUnitsOfSecond)
+            // Clocks can repeat a second or an hour without being 0 there.
+            if (!are_offsets &&
+                (period_s == 1.0 || period_s == 3600.0 || (range[0] >= 0.0 && range[1] <= period_s * unit)))
+                test(period_s * unit);
+    if (period == 0.0) return;
+    for (double& t : times) t -= t >= limit ? period : 0.0;
+    replace_times(table, std::move(times));
 }
 
 void restore_negative_offsets(PointTable& table) {
-    const PointFieldView* times = table.find_field(PointAttribute::time);
-    std::vector<double> offsets;
-    if (times)
-        times->call_with_value_reader([&](const auto& time_at) {
-            using Number = decltype(time_at(0));
-            const auto [first, last] = find_value_range(time_at, table.n);
-            for (const double period : kPeriods) {
-                const bool is_counter = std::is_floating_point_v<Number>
-                                            ? period != kPeriods[0]  // floats come from counters of 32 bits
-                                            : period == std::ldexp(1.0, 8 * sizeof(Number));
-                if (!offsets.empty() || !is_counter || first < kLastPart * period || last >= period) continue;
-                for (std::size_t i = 0; i < table.n; ++i) offsets.push_back(double(time_at(i)) - period);
-            }
-        });
-    replace_times(table, std::move(offsets));
+    std::vector<double> times = read_times(table);
+    if (times.empty()) return;
+    const auto [first, last] = find_value_range(times);
+    double number_period = 0.0;  // of an integer type; 0: floats, which come from counters of 32 bits
+    table.find_field(PointAttribute::time)->call_with_value_reader([&](const auto& time_at) {
+        using Number = decltype(time_at(0));
+        if (!std::is_floating_point_v<Number>) number_period = std::ldexp(1.0, 8 * sizeof(Number));
+    });
+    for (const double period : kPeriods) {
+        const bool is_counter = number_period == 0.0 ? period != kPeriods[0] : period == number_period;
+        if (!is_counter || first < kLastPart * period || last >= period) continue;
+        for (double& t : times) t -= period;
+        return replace_times(table, std::move(times));
+    }
 }
 
 double find_time_resolution(const PointTable& table) {
     constexpr double kLeastEpoch_s = 1e9;
-    const PointFieldView* times = table.find_field(PointAttribute::time);
-    double resolution = 0.0;
-    if (times)
-        times->call_with_value_reader([&](const auto& time_at) {
-            bool is_float = true, is_whole = true;
-            const auto [first, last] = find_value_range(time_at, table.n);
-            for (std::size_t i = 0; i < table.n; ++i) {
-                const auto t = double(time_at(i));
-                is_float = is_float && (!std::isfinite(t) || double(float(t)) == t);
-                is_whole = is_whole && (!std::isfinite(t) || std::round(t) == t);
-            }
-            const float largest = float(std::max(std::abs(first), std::abs(last)));
-            if (is_float) resolution = double(std::nextafter(largest, INFINITY)) - double(largest);
-            if (is_whole && first > kLeastEpoch_s && last < 4.0 * kLeastEpoch_s)
-                resolution = std::max(resolution, 1.0);
-        });
+    const std::vector<double> times = read_times(table);
+    if (times.empty()) return 0.0;
+    const auto [first, last] = find_value_range(times);
+    const bool is_float = std::ranges::all_of(
+                   times, [](double t) { return !std::isfinite(t) || double(float(t)) == t; }),
+               is_whole = std::ranges::all_of(
+                   times, [](double t) { return !std::isfinite(t) || std::round(t) == t; });
+    const float largest = float(std::max(std::abs(first), std::abs(last)));
+    double resolution = is_float ? double(std::nextafter(largest, INFINITY)) - double(largest) : 0.0;
+    if (is_whole && first > kLeastEpoch_s && last < 4.0 * kLeastEpoch_s)
+        resolution = std::max(resolution, 1.0);
     return resolution;
 }
 

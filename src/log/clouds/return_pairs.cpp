@@ -38,9 +38,7 @@ std::vector<glm::vec3> read_positions(const PointTable& table) {
     constexpr std::array kAxes = {PointAttribute::x, PointAttribute::y, PointAttribute::z};
     for (int axis = 0; axis < 3; ++axis)
         if (const PointFieldView* field = table.find_field(kAxes[std::size_t(axis)]))
-            field->call_with_value_reader([&](const auto& value_at) {
-                for (std::size_t i = 0; i < table.n; ++i) points[i][axis] = float(value_at(i));
-            });
+            field->for_each(table.n, [&](std::size_t i, double value) { points[i][axis] = float(value); });
     return points;
 }
 
@@ -50,14 +48,9 @@ std::vector<RayKey> read_ray_keys(const PointTable& table) {
                          *time = table.find_field(PointAttribute::time);
     std::vector<RayKey> keys(ring && time ? table.n : 0);
     if (keys.empty()) return keys;
-    ring->call_with_value_reader([&](const auto& value_at) {
-        for (std::size_t i = 0; i < table.n; ++i) keys[i].first = double(value_at(i));
-    });
-    time->call_with_value_reader([&](const auto& value_at) {
-        for (std::size_t i = 0; i < table.n; ++i) {
-            const auto t = double(value_at(i));
-            keys[i].second = std::isnan(t) ? INFINITY : t;  // NaN cannot be sorted
-        }
+    ring->for_each(table.n, [&](std::size_t i, double value) { keys[i].first = value; });
+    time->for_each(table.n, [&](std::size_t i, double value) {
+        keys[i].second = std::isnan(value) ? INFINITY : value;  // NaN cannot be sorted
     });
     return keys;
 }

@@ -265,13 +265,9 @@ Scan make_scan_from_arrays(const std::string& error_location, std::vector<NamedA
     return scan;
 }
 
-Scan read_scan_npz(const std::filesystem::path& file, const ScanImageContext& image_context) {
-    return make_scan_from_arrays(file.string(), read_npz(file), image_context);
-}
-
 Scan read_scan_image(const std::filesystem::path& file, const ScanImageContext& image_context) {
     return file.extension() == ".exr" ? read_scan_exr(file, image_context)
-                                      : read_scan_npz(file, image_context);
+                                      : make_scan_from_arrays(file.string(), read_npz(file), image_context);
 }
 
 void write_scan_npz(const std::filesystem::path& file, const Scan& scan, bool motion_compensated) {

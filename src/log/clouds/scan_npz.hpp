@@ -23,11 +23,11 @@ struct ScanImageContext {
     double time_s;  ///< time of the frame
 };
 
-/// @throws DataError if the file is damaged, an array is missing, or array sizes differ
-Scan read_scan_npz(const std::filesystem::path& file, const ScanImageContext& image_context);
 /// The channels are range, median_range, intensity, drop_prob, time, ring, range_2,
 /// intensity_2 and so on, and x, y and z of the direction and of the origin.
 Scan read_scan_exr(const std::filesystem::path& file, const ScanImageContext& image_context);
+/// Reads a scan from an npz file or an EXR image.
+/// @throws DataError if the file is damaged, an array is missing, or array sizes differ
 Scan read_scan_image(const std::filesystem::path& file, const ScanImageContext& image_context);
 Scan make_scan_from_arrays(const std::string& error_location, std::vector<NamedArray> arrays,
                            const ScanImageContext& image_context);

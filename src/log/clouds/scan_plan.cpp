@@ -9,9 +9,7 @@
 
 #include "base/fail.hpp"
 #include "base/median.hpp"
-#include "log/clouds/head_spins.hpp"
 #include "log/clouds/point_times.hpp"
-#include "log/clouds/thinned_cloud.hpp"
 
 namespace relidar::folder {
 namespace {

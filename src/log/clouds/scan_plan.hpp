@@ -13,6 +13,24 @@
 
 #include "log/clouds/file_order.hpp"
 
+namespace relidar {
+
+/// Returns why LiDAR points cannot be scans of a spinning LiDAR, or an empty string. In a
+/// spinning LiDAR, all points of a ring have nearly the same elevation. A sweep takes the
+/// time of a full revolution, even if the field of view is limited.
+/// @param scans  some scans, with rings
+/// @param frame_interval_s  time between scans in seconds
+std::string explain_why_not_spinning(const std::vector<LidarPoints>& scans,
+                                     const SpinningSensor& fitted_sensor, double frame_interval_s);
+/// Returns the reason, or an empty string. Points were probably removed, for example by a
+/// filter, if few rays have a return, or if the azimuth steps between the points of a
+/// ring are uneven. Their rays must not be treated as dropped rays.
+/// @param scans  some scans with rings; the rings may have been estimated
+std::string explain_removed_points(const std::vector<LidarPoints>& scans,
+                                   const SpinningSensor& fitted_sensor);
+
+}  // namespace relidar
+
 namespace relidar::folder {
 
 /// What a reader knows about the scans of a LiDAR.

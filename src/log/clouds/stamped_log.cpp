@@ -30,7 +30,6 @@ namespace fs = std::filesystem;
 constexpr double kStep_m = 1.0;
 // If more time is between two poses, the motion between them is ignored.
 constexpr double kLongestStep_s = 1.0;
-constexpr std::size_t kSamples = 6;  // number of scans for estimates
 // The points fit the nominal beams if their median distance from the beams is below this
 // share of the beam spacing. Points of another LiDAR have about 0.25.
 constexpr double kMaxBeamMisfit = 0.15;
@@ -108,18 +107,12 @@ private:
     const PointFileFormat& format_;
 };
 
-/// Reads the points of a few scans. Skips scans that cannot be read.
 std::vector<LidarPoints> read_sample_scans(const StampedScanProvider& scan_provider, std::size_t n_scans) {
     std::vector<LidarPoints> samples;
-    const std::size_t n = std::min(kSamples, n_scans);
-    for (std::size_t k = 0; k < n; ++k) {
-        try {
-            samples.push_back(scan_provider.read_points_of_frame(k * n_scans / n));
-            if (samples.back().size() == 0) samples.pop_back();
-        } catch (const DataError&) {
-            continue;  // the error is reported when the scan is read
-        }
-    }
+    folder::read_samples(n_scans, [&](std::size_t i) {
+        samples.push_back(scan_provider.read_points_of_frame(i));
+        if (samples.back().size() == 0) samples.pop_back();
+    });
     return samples;
 }
 
@@ -344,14 +337,9 @@ void read_scans_of_frames(LidarSequence& sequence, const std::vector<fs::path>& 
 DatasetIntensityScale estimate_dataset_intensity_scale(const std::vector<fs::path>& scan_files,
                                                        const std::vector<std::string>& column_names) {
     std::vector<folder::PointTable> samples;
-    const std::size_t n = std::min(kSamples, scan_files.size());
-    for (std::size_t k = 0; k < n; ++k) {
-        try {
-            samples.push_back(folder::read_point_file(scan_files[k * scan_files.size() / n], column_names));
-        } catch (const DataError&) {
-            continue;  // the error is reported when the scan is read
-        }
-    }
+    folder::read_samples(scan_files.size(), [&](std::size_t i) {
+        samples.push_back(folder::read_point_file(scan_files[i], column_names));
+    });
     const folder::IntensityScale scale = folder::interpret_point_fields(samples).scale;
     return {scale.max, scale.about};
 }

@@ -1,10 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "log/clouds/thinned_cloud.hpp"
-
+// Detects clouds from which a program has removed points.
 #include <algorithm>
 #include <cmath>
 
 #include <fmt/format.h>
+
+#include "log/clouds/scan_plan.hpp"
 
 namespace relidar {
 namespace {

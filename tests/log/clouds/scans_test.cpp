@@ -89,35 +89,25 @@ void expect_same_rays(const Scan& actual, const Scan& truth, float late_s) {
     }
 }
 
+Scan assign(const LidarPoints& points, const SpinningSensor& sensor) {
+    return assign_points_to_rays_of_spinning_scan(points, sensor,
+                                                  fit_equal_azimuth_steps_to_points(points, sensor));
+}
+
 TEST(SpinningScan, PointsFindTheirRaysAndTheRestIsDropped) {
-    Truth truth(sensor());
-    truth.points.time_offset_s.clear();
-    expect_same_rays(assign_points_to_rays_of_spinning_scan(
-                         truth.points, sensor(), fit_equal_azimuth_steps_to_points(truth.points, sensor())),
-                     truth.scan, 0.0f);
-}
-
-TEST(SpinningScan, RaysTakeTheTimesOfTheirPoints) {
-    const Truth truth(sensor());
-    expect_same_rays(assign_points_to_rays_of_spinning_scan(
-                         truth.points, sensor(), fit_equal_azimuth_steps_to_points(truth.points, sensor())),
-                     truth.scan, 0.004f);
-}
-
-TEST(SpinningScan, CounterClockwiseHeadsRunTheOtherWay) {
-    SpinningSensor other = sensor();
-    other.clockwise = false;
-    Truth truth(other);
-    truth.points.time_offset_s.clear();
-    expect_same_rays(assign_points_to_rays_of_spinning_scan(
-                         truth.points, other, fit_equal_azimuth_steps_to_points(truth.points, other)),
-                     truth.scan, 0.0f);
+    for (const bool clockwise : {true, false}) {
+        SpinningSensor spinning = sensor();
+        spinning.clockwise = clockwise;
+        Truth truth(spinning);
+        expect_same_rays(assign(truth.points, spinning), truth.scan, 0.004f);  // times of the points
+        truth.points.time_offset_s.clear();
+        expect_same_rays(assign(truth.points, spinning), truth.scan, 0.0f);
+    }
 }
 
 TEST(SpinningScan, KeepsSecondReturns) {
     const Truth truth(sensor(), true);
-    const Scan actual = assign_points_to_rays_of_spinning_scan(
-        truth.points, sensor(), fit_equal_azimuth_steps_to_points(truth.points, sensor()));
+    const Scan actual = assign(truth.points, sensor());
     ASSERT_EQ(actual.second_returns.size(), 1u);
     for (std::size_t i = 0; i < truth.scan.rays.size(); ++i) {
         EXPECT_NEAR(actual.range_m[i], truth.scan.range_m[i], 1e-4f);
@@ -140,8 +130,7 @@ TEST(SpinningScan, FarPointsAreDroppedAndCrowdsThinned) {
         points.intensity.push_back(2.0f);
         points.ring.push_back(0);
     }
-    const Scan scan =
-        assign_points_to_rays_of_spinning_scan(points, s, fit_equal_azimuth_steps_to_points(points, s));
+    const Scan scan = assign(points, s);
     EXPECT_EQ(scan.count_returns(), 3u) << "its own ray and those beside it";
     EXPECT_NEAR(*std::max_element(scan.range_m.begin(), scan.range_m.end()), 14.0f, 1e-3f);
     EXPECT_EQ(std::count(scan.intensity.begin(), scan.intensity.end(), 1.0f), 3) << "intensities are cut";

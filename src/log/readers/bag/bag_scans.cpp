@@ -15,8 +15,6 @@
 namespace relidar::bag {
 namespace {
 
-constexpr std::size_t kSampleClouds = 6;
-
 folder::PointTable read_cloud_as_point_table(const BagRecording& bag, const CloudTopic& cloud_topic,
                                              const MessagePosition& location) {
     const BagTopic& topic = bag.topics()[cloud_topic.topic];
@@ -143,17 +141,12 @@ LidarTopic estimate_units_of_cloud_topic(const BagRecording& bag, const CloudTop
     if (!cloud_topic.packets.empty()) return topic;
     std::vector<folder::PointTable> samples;
     std::vector<double> stamps_s;
-    const std::size_t n = std::min(kSampleClouds, cloud_topic.clouds.size());
-    for (std::size_t k = 0; k < n; ++k) {
-        const CloudIndexEntry& entry = cloud_topic.clouds[k * cloud_topic.clouds.size() / n];
-        try {
-            samples.push_back(read_cloud_as_point_table(bag, cloud_topic, entry.message_position));
-        } catch (const DataError&) {
-            continue;  // the error is reported when the scan is read
-        }
+    folder::read_samples(cloud_topic.clouds.size(), [&](std::size_t i) {
+        const CloudIndexEntry& entry = cloud_topic.clouds[i];
+        samples.push_back(read_cloud_as_point_table(bag, cloud_topic, entry.message_position));
         stamps_s.push_back(1e-9 * double(entry.stamp_ns + entry.correction_ns));
         topic.samples.emplace(entry.message_position, samples.back());
-    }
+    });
     topic.units = estimate_time_and_intensity_units(samples, stamps_s, cloud_period_s);
     return topic;
 }
