@@ -67,7 +67,7 @@ constexpr Check kChecks[] = {
 
 void note_faults(LidarSequence& sequence) {
     CheckedLog log{sequence, std::vector<ReturnStatistics>(sequence.frames.size())};
-    parallel_for(static_cast<int>(log.scans.size()), [&](int index) {
+    parallel_for(int(log.scans.size()), [&](int index) {
         const Scan& scan = sequence.frames[std::size_t(index)].scan;
         ReturnStatistics& statistics = log.scans[std::size_t(index)];
         for (std::size_t ray = 0; ray < scan.range_m.size(); ++ray) {

@@ -6,8 +6,6 @@
 #include <string>
 #include <vector>
 
-#include <fmt/format.h>
-
 #include <relidar/log/sequence.hpp>
 
 #include "base/fail.hpp"

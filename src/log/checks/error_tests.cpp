@@ -91,7 +91,7 @@ void test_array_sizes(const CheckedLog& log, const FaultReport& report) {
 }
 
 void test_rays(const CheckedLog& log, const FaultReport& report) {
-    parallel_for(static_cast<int>(log.sequence.frames.size()), [&](int index) {
+    parallel_for(int(log.sequence.frames.size()), [&](int index) {
         const LidarFrame& frame = log.sequence.frames[std::size_t(index)];
         const Scan& scan = frame.scan;
         const std::size_t n_beams = log.sequence.get_lidar(frame).sensor.beams.size();

@@ -146,7 +146,7 @@ PointGains compare_points_in_boxes(const LidarSequence& sequence) {
             frames.push_back(&frame);
     const std::size_t n = std::min(kMaxFrames, frames.size());
     std::vector<PointGains> by_frame(n);
-    parallel_for(static_cast<int>(n), [&](int k) {
+    parallel_for(int(n), [&](int k) {
         add_points_of_frame(sequence, *frames[std::size_t(k) * frames.size() / n], by_frame[std::size_t(k)]);
     });
     PointGains sum{};

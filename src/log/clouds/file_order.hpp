@@ -4,7 +4,6 @@
 // overlap in elevation because its beams start far from the centre of the sensor.
 #pragma once
 
-#include <cstdint>
 #include <vector>
 
 #include <relidar/log/points.hpp>

@@ -12,10 +12,6 @@
 #include <complex>
 #include <numeric>
 
-#include <fmt/format.h>
-
-#include <relidar/base/error.hpp>
-
 #include "base/fail.hpp"
 
 namespace relidar {

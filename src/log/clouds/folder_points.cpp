@@ -8,10 +8,6 @@
 #include <tuple>
 #include <utility>
 
-#include <fmt/format.h>
-
-#include <relidar/base/error.hpp>
-
 #include "base/fail.hpp"
 #include "base/median.hpp"
 #include "log/clouds/dropped_ray.hpp"
@@ -186,13 +182,13 @@ void sort_points_and_set_return_numbers(LidarPoints& points, const std::vector<d
 }  // namespace
 
 LidarPoints convert_table_to_points(const PointTable& table, const PointFileUnits& units, double frame_time_s,
-                                    const std::string& error_location) {
+                                    const std::string& where) {
     const auto *x = table.find_field(PointAttribute::x), *y = table.find_field(PointAttribute::y),
                *z = table.find_field(PointAttribute::z);
     for (const auto& [field, name] : {std::pair(x, "x"), std::pair(y, "y"), std::pair(z, "z")})
-        if (!field) fail("{}: the field {} is missing, expected x, y and z", error_location, name);
+        if (!field) fail("{}: the field {} is missing, expected x, y and z", where, name);
     LidarPoints points;
-    PointFieldConverter convert{{}, error_location};
+    PointFieldConverter convert{{}, where};
     std::tie(convert.selected_indices, points.position_m) = select_return_points(table, {x, y, z}, units);
     if (units.returns.exist)
         points.return_number = number_returns(table, units.returns, units.intensity_field,
@@ -201,8 +197,8 @@ LidarPoints convert_table_to_points(const PointTable& table, const PointFileUnit
         const glm::vec3 p = glm::abs(points.position_m[k]);
         if (std::max({p.x, p.y, p.z}) <= kFarthestCoordinate_m) continue;
         const std::size_t i = convert.selected_indices[k];
-        fail("{}: point {} is ({}, {}, {}), expected coordinates of at most {} m", error_location, i, (*x)[i],
-             (*y)[i], (*z)[i], kFarthestCoordinate_m);
+        fail("{}: point {} is ({}, {}, {}), expected coordinates of at most {} m", where, i, (*x)[i], (*y)[i],
+             (*z)[i], kFarthestCoordinate_m);
     }
     const std::string of_point;  // Conversion adds the point's number
     const auto* intensity = table.find_field(units.intensity_field);

@@ -24,7 +24,7 @@ struct MostTimesWrong : DataError {
 /// @param frame_time_s  time that is subtracted from absolute point times
 /// @throws DataError with the number of the invalid point
 LidarPoints convert_table_to_points(const PointTable& table, const PointFileUnits& units, double frame_time_s,
-                                    const std::string& error_location);
+                                    const std::string& where);
 
 /// Estimates the units that are not known, from the points of some scans. If several
 /// intensity scales are possible, sets none. Intensities above 1 are then an error.

@@ -4,11 +4,6 @@
 #include <algorithm>
 #include <cmath>
 #include <map>
-#include <optional>
-
-#include <fmt/format.h>
-
-#include <relidar/base/error.hpp>
 
 #include "base/fail.hpp"
 #include "base/progress_blocks.hpp"

@@ -6,16 +6,12 @@
 #include <cmath>
 #include <unordered_map>
 
-#include <fmt/format.h>
-
-#include <relidar/base/error.hpp>
-
 #include "base/fail.hpp"
 
 namespace relidar {
 
 Pose check_rotation_and_make_pose(const glm::dmat3& rotation, const glm::dvec3& translation,
-                                  const std::string& error_location) {
+                                  const std::string& where) {
     const glm::dmat3 excess = glm::transpose(rotation) * rotation - glm::dmat3(1.0);
     double worst = 0.0;
     for (int c = 0; c < 3; ++c) {
@@ -25,7 +21,7 @@ Pose check_rotation_and_make_pose(const glm::dmat3& rotation, const glm::dvec3& 
         fail(
             "{}: the 3x3 block is not a rotation: R^T R differs from the identity by {:.3g} and the "
             "determinant is {:.3g}, expected an orthonormal matrix within 0.001",
-            error_location, worst, glm::determinant(rotation));
+            where, worst, glm::determinant(rotation));
     }
     return {glm::normalize(glm::quat_cast(rotation)), translation};
 }

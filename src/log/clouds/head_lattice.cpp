@@ -14,7 +14,7 @@ double EncoderTickGrid::compute_azimuth_per_tick_rad() const { return 2.0 * kPi 
 
 int EncoderTickGrid::find_nearest_encoder_tick(double head_azimuth_rad) const {
     const long t = std::lround((head_azimuth_rad - zero_rad) / compute_azimuth_per_tick_rad()) % n_ticks;
-    return static_cast<int>(t < 0 ? t + n_ticks : t);
+    return int(t < 0 ? t + n_ticks : t);
 }
 
 double EncoderTickGrid::compute_azimuth_of_encoder_tick_rad(int tick) const {

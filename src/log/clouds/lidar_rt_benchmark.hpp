@@ -3,7 +3,6 @@
 // names are from the supplementary tables of the paper.
 #pragma once
 
-#include <optional>
 #include <span>
 #include <string>
 #include <vector>

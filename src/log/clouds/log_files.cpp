@@ -7,9 +7,6 @@
 #include <cmath>
 #include <cstring>
 
-#include <fmt/format.h>
-
-#include <relidar/base/error.hpp>
 #include "base/fail.hpp"
 #include "base/files.hpp"
 #include "log/classes/dataset_classes.hpp"
@@ -67,7 +64,7 @@ std::string describe_or_reject_missing_scan_files(const fs::path& folder,
                                                   const std::vector<int>& frame_numbers, bool allow_missing) {
     constexpr std::size_t kShown = 5;
     const std::size_t n =
-        static_cast<std::size_t>(frame_numbers.back() - frame_numbers.front() + 1) - frame_numbers.size();
+        std::size_t(frame_numbers.back() - frame_numbers.front() + 1) - frame_numbers.size();
     if (n == 0) return "";
     std::vector<int> shown;
     for (std::size_t i = 1; i < frame_numbers.size(); ++i) {

@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
 // Estimates units of point values that sequence.json does not contain.
-#include <algorithm>
 
 #include <relidar/base/arrays.hpp>
 

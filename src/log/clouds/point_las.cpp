@@ -3,13 +3,8 @@
 // files with a map in survey coordinates. Such files are usual, but they are not scans.
 #include <algorithm>
 #include <array>
-#include <cmath>
 #include <cstdint>
 #include <cstring>
-
-#include <fmt/format.h>
-
-#include <relidar/base/error.hpp>
 
 #include "base/fail.hpp"
 #include "log/clouds/point_table.hpp"
@@ -43,17 +38,15 @@ struct LasHeader {
     std::size_t get_gps_time_byte_offset() const { return has_extended_point_format() ? 22 : 20; }
 };
 
-LasHeader parse_las_header(std::string_view bytes, const std::string& error_location) {
+LasHeader parse_las_header(std::string_view bytes, const std::string& where) {
     if (bytes.size() < kHeaderBytes || !bytes.starts_with("LASF"))
-        fail("{}: found {} bytes that do not begin with LASF, expected a LAS file", error_location,
-             bytes.size());
+        fail("{}: found {} bytes that do not begin with LASF, expected a LAS file", where, bytes.size());
     LasHeader header;
     header.format = read_unaligned<std::uint8_t>(bytes, kFormatAt);
     if (header.format >= kPacked)
-        fail("{}: found compressed points (LAZ), expected LAS; 'laszip IN.laz OUT.las' unpacks them",
-             error_location);
+        fail("{}: found compressed points (LAZ), expected LAS; 'laszip IN.laz OUT.las' unpacks them", where);
     if (header.format > kMostFormat)
-        fail("{}: found the point format {}, expected a format from 0 to {}", error_location, header.format,
+        fail("{}: found the point format {}, expected a format from 0 to {}", where, header.format,
              kMostFormat);
     header.begin = read_unaligned<std::uint32_t>(bytes, kPointsAt);
     header.record = read_unaligned<std::uint16_t>(bytes, kRecordAt);
@@ -68,31 +61,31 @@ LasHeader parse_las_header(std::string_view bytes, const std::string& error_loca
         header.get_gps_time_byte_offset() + (header.has_gps_time_per_point() ? 8 : 0);
     if (header.record < min_record_bytes || header.begin > bytes.size() ||
         header.n > (bytes.size() - header.begin) / header.record)
-        fail("{}: the file is truncated: found {} bytes, expected {} points of {} bytes from byte {}",
-             error_location, bytes.size(), header.n, header.record, header.begin);
+        fail("{}: the file is truncated: found {} bytes, expected {} points of {} bytes from byte {}", where,
+             bytes.size(), header.n, header.record, header.begin);
     return header;
 }
 
 /// Throws for a map or survey coordinates. The sensor is at the origin, so some points
 /// must be near it, perhaps all on one side.
 void require_points_near_origin(const std::array<std::vector<double>, 3>& coordinates_m,
-                                const std::string& error_location) {
+                                const std::string& where) {
     for (std::size_t axis = 0; axis < 2; ++axis) {
         const auto [least, most] = std::ranges::minmax(coordinates_m[axis]);
         if (least <= kMostAway_m && most >= -kMostAway_m) continue;
         fail(
             "{}: the {} coordinates are from {:.6g} to {:.6g} m, so the points are probably a map or in "
             "survey coordinates; expected one scan with the sensor at the origin",
-            error_location, axis == 0 ? "x" : "y", least, most);
+            where, axis == 0 ? "x" : "y", least, most);
     }
 }
 
 }  // namespace
 
-PointTable parse_las_points(const SharedBytes& file, const std::string& error_location) {
-    const LasHeader header = parse_las_header(file.bytes, error_location);
+PointTable parse_las_points(const SharedBytes& file, const std::string& where) {
+    const LasHeader header = parse_las_header(file.bytes, where);
     const auto n = std::size_t(header.n);
-    require_valid_point_count(n, error_location);
+    require_valid_point_count(n, where);
     const char* points = file.bytes.data() + header.begin;
     std::array<std::vector<double>, 3> position_m;
     std::vector<std::uint8_t> return_numbers(n);
@@ -105,21 +98,21 @@ PointTable parse_las_points(const SharedBytes& file, const std::string& error_lo
         return_numbers[i] =
             std::uint8_t(std::min(point[14] & (header.has_extended_point_format() ? 15 : 7), 8));
     }
-    require_points_near_origin(position_m, error_location);
+    require_points_near_origin(position_m, where);
     PointTable table(n);
     table.keep_memory_alive(file.memory);
     const char* names[] = {"x", "y", "z"};
     for (std::size_t axis = 0; axis < 3; ++axis)
-        table.add_value_field(names[axis], ScalarType::f8, std::move(position_m[axis]), error_location);
-    table.add_value_field("intensity", {ScalarType::u2, points + 12, header.record}, error_location);
+        table.add_value_field(names[axis], ScalarType::f8, std::move(position_m[axis]), where);
+    table.add_value_field("intensity", {ScalarType::u2, points + 12, header.record}, where);
     // Some programs write 0 for all return numbers.
     if (std::ranges::any_of(return_numbers, [](std::uint8_t number) { return number > 1; }))
-        table.add_value_field("return_number", ScalarType::u1, std::move(return_numbers), error_location);
+        table.add_value_field("return_number", ScalarType::u1, std::move(return_numbers), where);
     if (!header.has_gps_time_per_point()) return table;
     const PointFieldView times(ScalarType::f8, points + header.get_gps_time_byte_offset(), header.record);
     bool is_constant = true;  // some programs write the time 0 for all points
     for (std::size_t i = 1; i < n; ++i) is_constant = is_constant && times[i] == times[0];
-    if (!is_constant) table.add_value_field("time", times, error_location);
+    if (!is_constant) table.add_value_field("time", times, where);
     return table;
 }
 

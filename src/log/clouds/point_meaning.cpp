@@ -11,7 +11,6 @@
 
 #include "base/files.hpp"
 #include "log/clouds/dropped_ray.hpp"
-#include "log/clouds/point_times.hpp"
 
 namespace relidar::folder {
 namespace {
@@ -66,23 +65,6 @@ void add_note_on_unread_fields(const std::vector<PointTable>& clouds, PointField
         semantics.intensity_field.empty()
             ? "none, because no field has a usual name of intensities"
             : "'" + shorten_for_error_message(semantics.intensity_field) + "'"));
-}
-
-std::string describe_negative_intensities(const std::vector<PointTable>& clouds, const std::string& field) {
-    double lowest = 0.0;
-    for (const PointTable& cloud : clouds) {
-        const PointFieldView *values = cloud.find_field(field), *x = cloud.find_field(PointAttribute::x),
-                             *y = cloud.find_field(PointAttribute::y),
-                             *z = cloud.find_field(PointAttribute::z);
-        if (!values || !x || !y || !z) continue;
-        for (std::size_t i = 0; i < cloud.n; ++i)
-            if (const double value = (*values)[i];
-                value < lowest && is_valid_return_point(glm::dvec3((*x)[i], (*y)[i], (*z)[i])))
-                lowest = value;
-    }
-    return lowest < 0.0
-               ? fmt::format("some intensities are negative, down to {:.4g}; they are read as 0", lowest)
-               : "";
 }
 
 /// Some files store all rays without a return as points at one position.
@@ -153,10 +135,7 @@ PointFieldSemantics interpret_point_fields(const std::vector<PointTable>& sample
             values->for_each(cloud.n, [&](std::size_t, double value) { intensities.push_back(value); });
     meaning.scale = estimate_intensity_scale(intensities);
     meaning.returns = find_unnumbered_returns(sample_clouds);
-    for (const std::string& text :
-         {describe_negative_intensities(sample_clouds, meaning.intensity_field),
-          meaning.returns.exist ? meaning.returns.about : "", describe_reversed_times(sample_clouds[0])})
-        if (!text.empty()) meaning.notes.push_back(text);
+    if (meaning.returns.exist) meaning.notes.push_back(meaning.returns.about);
     for (const PointTable& cloud : sample_clouds)
         if (!meaning.no_return) meaning.no_return = find_position_that_marks_dropped_rays(cloud);
     if (meaning.no_return)

@@ -3,16 +3,12 @@
 
 #include <algorithm>
 #include <cctype>
-#include <cstdint>
-#include <cstring>
 #include <iterator>
 #include <tuple>
 
-#include <fmt/format.h>
 #include <fmt/ranges.h>
 
 #include <relidar/base/arrays.hpp>
-#include <relidar/base/error.hpp>
 
 #include "base/fail.hpp"
 #include "base/files.hpp"
@@ -103,12 +99,12 @@ constexpr ScalarTypeEntry kNumberTypes[] = {{'F', 4, ScalarType::f4, "f4"}, {'F'
                                             {'U', 1, ScalarType::u1, "u1"}, {'U', 2, ScalarType::u2, "u2"},
                                             {'U', 4, ScalarType::u4, "u4"}, {'U', 8, ScalarType::u8, "u8"}};
 
-ScalarType get_field_number_type(const PointField& field, const std::string& error_location) {
+ScalarType get_field_number_type(const PointField& field, const std::string& where) {
     for (const ScalarTypeEntry& row : kNumberTypes)
         if (row.kind == field.kind && row.size == field.size) return row.type;
-    fail("{}: the field '{}' has the type {}{}, expected F4, F8, or I or U with 1, 2, 4 or 8 bytes",
-         error_location, shorten_for_error_message(field.name),
-         shorten_for_error_message(std::string(1, field.kind)), field.size);
+    fail("{}: the field '{}' has the type {}{}, expected F4, F8, or I or U with 1, 2, 4 or 8 bytes", where,
+         shorten_for_error_message(field.name), shorten_for_error_message(std::string(1, field.kind)),
+         field.size);
 }
 
 /// Returns true for points of an HDL-32E as the dataset NCLT stores them. The number of
@@ -152,7 +148,7 @@ PointTable read_float32_points(const fs::path& bin_file, const std::vector<std::
 
 /// Adds those columns of an array [points, columns] that relidar reads.
 void add_array_columns(PointTable& table, NamedArray array, const std::vector<std::string>& column_names,
-                       const std::string& error_location) {
+                       const std::string& where) {
     const auto* type_row = std::ranges::find(kNumberTypes, array.dtype, &ScalarTypeEntry::numpy);
     if (type_row == std::end(kNumberTypes) ||
         array.bytes.size() != array.count_array_elements() * type_row->size) {
@@ -167,22 +163,21 @@ void add_array_columns(PointTable& table, NamedArray array, const std::vector<st
         if (is_known_point_field(column_names[c]))
             table.add_value_field(
                 column_names[c],
-                {type_row->type, first + c * type_row->size, column_names.size() * type_row->size},
-                error_location);
+                {type_row->type, first + c * type_row->size, column_names.size() * type_row->size}, where);
 }
 
 PointTable make_table_of_array(NamedArray array, const std::vector<std::string>& column_names,
-                               const std::string& error_location) {
+                               const std::string& where) {
     if (array.shape.size() != 2 || array.shape[1] != column_names.size())
         fail(
             "{}: found an array of {} dimensions{}, expected the shape [points, {}] with the columns {}; set "
             "\"columns\" in sequence.json to the columns of the array",
-            error_location, array.shape.size(),
+            where, array.shape.size(),
             array.shape.empty() ? "" : fmt::format(", whose last dimension is {}", array.shape.back()),
             column_names.size(), fmt::join(column_names, ", "));
-    require_valid_point_count(array.shape[0], error_location);
+    require_valid_point_count(array.shape[0], where);
     PointTable table(array.shape[0]);
-    add_array_columns(table, std::move(array), column_names, error_location);
+    add_array_columns(table, std::move(array), column_names, where);
     return table;
 }
 
@@ -240,9 +235,9 @@ std::vector<std::string> PointTable::list_fields_with_attribute(PointAttribute a
     return names;
 }
 
-void require_valid_point_count(std::size_t n_points, const std::string& error_location) {
+void require_valid_point_count(std::size_t n_points, const std::string& where) {
     if (n_points == 0 || n_points > kMostPoints)
-        fail("{}: found {} points, expected 1 to {}", error_location, n_points, kMostPoints);
+        fail("{}: found {} points, expected 1 to {}", where, n_points, kMostPoints);
 }
 
 const PointFieldView* PointTable::find_field(const std::string& field_name) const {
@@ -256,9 +251,9 @@ const PointFieldView* PointTable::find_field(PointAttribute attribute) const {
 }
 
 void PointTable::add_value_field(const std::string& field_name, const PointFieldView& values,
-                                 const std::string& error_location) {
+                                 const std::string& where) {
     if (!fields_.emplace(field_name, values).second)
-        fail("{}: the field '{}' occurs twice, expected it once", error_location, field_name);
+        fail("{}: the field '{}' occurs twice, expected it once", where, field_name);
 }
 
 void PointTable::remove_fields_with_attribute(PointAttribute attribute) {
@@ -268,18 +263,18 @@ void PointTable::remove_fields_with_attribute(PointAttribute attribute) {
 
 PointTable make_table_of_binary_points(const SharedBytes& data, const std::vector<PointField>& fields,
                                        std::size_t n_points, PointMemoryLayout memory_layout,
-                                       const std::string& error_location) {
-    require_valid_point_count(n_points, error_location);
+                                       const std::string& where) {
+    require_valid_point_count(n_points, where);
     std::size_t record = 0;
     for (const PointField& field : fields) {
         if (field.size == 0 || field.count == 0)
-            fail("{}: field '{}' has no values, expected at least one per point", error_location,
+            fail("{}: field '{}' has no values, expected at least one per point", where,
                  shorten_for_error_message(field.name));
         record += field.size * field.count;
     }
     if (data.bytes.size() / n_points < record)
-        fail("{}: the file is truncated: found {} bytes of points, expected {} points of {} bytes",
-             error_location, data.bytes.size(), n_points, record);
+        fail("{}: the file is truncated: found {} bytes of points, expected {} points of {} bytes", where,
+             data.bytes.size(), n_points, record);
     PointTable table(n_points);
     table.keep_memory_alive(data.memory);
     std::size_t before = 0;  // number of bytes of the previous fields in a point
@@ -289,9 +284,9 @@ PointTable make_table_of_binary_points(const SharedBytes& data, const std::vecto
             const char* first = data.bytes.data() +
                                 (memory_layout == PointMemoryLayout::by_point ? before : before * n_points);
             table.add_value_field(field.name,
-                                  {get_field_number_type(field, error_location), first,
+                                  {get_field_number_type(field, where), first,
                                    memory_layout == PointMemoryLayout::by_point ? record : width},
-                                  error_location);
+                                  where);
         } else if (field.name != kPadding) {
             table.unread.push_back(field.name);
         }
@@ -311,11 +306,11 @@ std::vector<std::string> split_words(std::string_view line) {
 }
 
 PointTable parse_point_lines(std::string_view text, const std::vector<PointField>& fields,
-                             std::size_t n_points, const std::string& error_location) {
-    require_valid_point_count(n_points, error_location);
+                             std::size_t n_points, const std::string& where) {
+    require_valid_point_count(n_points, where);
     if (n_points > text.size())
-        fail("{}: the file is truncated: found {} bytes of text, expected {} points", error_location,
-             text.size(), n_points);
+        fail("{}: the file is truncated: found {} bytes of text, expected {} points", where, text.size(),
+             n_points);
     struct Column {
         std::size_t index_in_line;  ///< index in the line
         const std::string& name;
@@ -332,7 +327,7 @@ PointTable parse_point_lines(std::string_view text, const std::vector<PointField
         const std::size_t end = std::min(text.find('\n'), text.size());
         const auto numbers = parse_numbers(text.substr(0, end));
         if (!numbers || numbers->size() != width)
-            fail("{}: point {} is '{}', expected {} numbers", error_location, i,
+            fail("{}: point {} is '{}', expected {} numbers", where, i,
                  shorten_for_error_message(text.substr(0, end)), width);
         for (Column& column : point_columns) column.values[i] = (*numbers)[column.index_in_line];
         text.remove_prefix(std::min(end + 1, text.size()));
@@ -341,7 +336,7 @@ PointTable parse_point_lines(std::string_view text, const std::vector<PointField
     for (const PointField& field : fields)
         if (!is_known_point_field(field.name) && field.name != kPadding) table.unread.push_back(field.name);
     for (Column& column : point_columns)
-        table.add_value_field(column.name, ScalarType::f8, std::move(column.values), error_location);
+        table.add_value_field(column.name, ScalarType::f8, std::move(column.values), where);
     return table;
 }
 

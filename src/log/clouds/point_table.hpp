@@ -117,14 +117,13 @@ public:
     std::vector<std::string> list_fields_with_attribute(PointAttribute attribute) const;
     /// @throws DataError if the field already exists
     void add_value_field(const std::string& field_name, const PointFieldView& values,
-                         const std::string& error_location);
+                         const std::string& where);
     template <class T>
     void add_value_field(const std::string& field_name, ScalarType type, std::vector<T> values,
-                         const std::string& error_location) {
+                         const std::string& where) {
         const auto memory = std::make_shared<const std::vector<T>>(std::move(values));
         keep_memory_alive(memory);
-        add_value_field(field_name, {type, reinterpret_cast<const char*>(memory->data()), sizeof(T)},
-                        error_location);
+        add_value_field(field_name, {type, reinterpret_cast<const char*>(memory->data()), sizeof(T)}, where);
     }
     void remove_fields_with_attribute(PointAttribute attribute);
     void keep_memory_alive(std::shared_ptr<const void> memory) { memory_.push_back(std::move(memory)); }
@@ -151,17 +150,17 @@ enum class PointMemoryLayout {
 };
 
 /// @throws DataError if there are no points, or too many for one scan
-void require_valid_point_count(std::size_t n_points, const std::string& error_location);
+void require_valid_point_count(std::size_t n_points, const std::string& where);
 /// Returns a table of binary little-endian numbers, without copying them.
 /// @throws DataError if a number type does not exist or if the data is too short
 PointTable make_table_of_binary_points(const SharedBytes& data, const std::vector<PointField>& fields,
                                        std::size_t n_points, PointMemoryLayout memory_layout,
-                                       const std::string& error_location);
+                                       const std::string& where);
 /// Splits a line at blanks and tabs.
 std::vector<std::string> split_words(std::string_view line);
 /// Parses `n_points` lines of numbers that are separated by blanks, one line per point.
 PointTable parse_point_lines(std::string_view text, const std::vector<PointField>& fields,
-                             std::size_t n_points, const std::string& error_location);
+                             std::size_t n_points, const std::string& where);
 
 bool is_point_file(const std::filesystem::path& file);
 /// Returns true if each pixel of the file is a ray.
@@ -192,18 +191,18 @@ PointTable read_point_file(const std::filesystem::path& file, const std::vector<
 
 /// Reads a LAS file that contains a single scan.
 /// @throws DataError if no points are near the origin, where the sensor is
-PointTable parse_las_points(const SharedBytes& file, const std::string& error_location);
-PointTable parse_pcd_points(const SharedBytes& file, const std::string& error_location);
-PointTable parse_ply_points(const SharedBytes& file, const std::string& error_location);
+PointTable parse_las_points(const SharedBytes& file, const std::string& where);
+PointTable parse_pcd_points(const SharedBytes& file, const std::string& where);
+PointTable parse_ply_points(const SharedBytes& file, const std::string& where);
 
 /// Reads lines of numbers that are separated by blanks, commas or semicolons.
 /// @param column_names  names of the fields if the file has no header. If empty, the
 /// fields are x y z, or x y z intensity.
 PointTable parse_text_points(const SharedBytes& file, const std::vector<std::string>& column_names,
-                             const std::string& error_location);
+                             const std::string& where);
 
 /// Returns true if the bytes are a .npy file whose elements have named fields.
 bool is_structured_npy(std::string_view bytes);
-PointTable parse_structured_npy_points(const SharedBytes& file, const std::string& error_location);
+PointTable parse_structured_npy_points(const SharedBytes& file, const std::string& where);
 
 }  // namespace relidar::folder

@@ -2,12 +2,7 @@
 // Reads points from text files (CSV, XYZ) and from structured numpy arrays. A header in
 // the file can contain the names of the fields.
 #include <algorithm>
-#include <array>
 #include <cstring>
-
-#include <fmt/format.h>
-
-#include <relidar/base/error.hpp>
 
 #include "base/fail.hpp"
 #include "base/files.hpp"
@@ -28,7 +23,7 @@ std::vector<PointField> make_named_fields(const std::vector<std::string>& names)
 /// @param n_values_per_line  number of values of a file that has no header
 std::vector<PointField> make_default_fields(std::size_t n_values_per_line,
                                             const std::vector<std::string>& column_names,
-                                            const std::string& error_location) {
+                                            const std::string& where) {
     if (column_names.size() == n_values_per_line) return make_named_fields(column_names);
     if (column_names.empty() && n_values_per_line == 3) return make_named_fields({"x", "y", "z"});
     if (column_names.empty() && n_values_per_line == 4)
@@ -36,7 +31,7 @@ std::vector<PointField> make_default_fields(std::size_t n_values_per_line,
     fail(
         "{}: found {} numbers per line and no header, expected names in the first line, or \"columns\" in "
         "sequence.json",
-        error_location, n_values_per_line);
+        where, n_values_per_line);
 }
 
 /// Parses the fields of a structured numpy array: [('x', '<f4'), ...].
@@ -131,7 +126,7 @@ private:
 }  // namespace
 
 PointTable parse_text_points(const SharedBytes& file, const std::vector<std::string>& column_names,
-                             const std::string& error_location) {
+                             const std::string& where) {
     std::string text(file.bytes);
     std::ranges::replace_if(
         text,
@@ -145,7 +140,7 @@ PointTable parse_text_points(const SharedBytes& file, const std::vector<std::str
     std::vector<PointField> fields;
     if (const auto numbers = parse_numbers(first_line()); numbers && numbers->size() == 1) skip_line();
     if (const auto numbers = parse_numbers(first_line()); numbers) {
-        fields = make_default_fields(numbers->size(), column_names, error_location);
+        fields = make_default_fields(numbers->size(), column_names, where);
     } else {
         std::string_view names = trim_blanks_at_both_ends(first_line());
         names.remove_prefix(std::min(names.find_first_not_of("#/ "), names.size()));
@@ -156,9 +151,9 @@ PointTable parse_text_points(const SharedBytes& file, const std::vector<std::str
         skip_line();
     }
     if (fields.size() > kMostTextFields)
-        fail("{}: found {} fields, expected at most {}", error_location, fields.size(), kMostTextFields);
+        fail("{}: found {} fields, expected at most {}", where, fields.size(), kMostTextFields);
     const auto n = rest.empty() ? 0 : std::size_t(std::ranges::count(rest, '\n')) + 1;
-    return parse_point_lines(rest, fields, n, error_location);
+    return parse_point_lines(rest, fields, n, where);
 }
 
 bool is_structured_npy(std::string_view bytes) {
@@ -168,24 +163,24 @@ bool is_structured_npy(std::string_view bytes) {
            trim_blanks_at_both_ends(header.substr(at + 8)).starts_with('[');
 }
 
-PointTable parse_structured_npy_points(const SharedBytes& file, const std::string& error_location) {
+PointTable parse_structured_npy_points(const SharedBytes& file, const std::string& where) {
     const std::string_view bytes = file.bytes;
     const std::size_t n_length = bytes.size() > kNpyPrefix && bytes[6] == 1 ? 2 : 4;
-    if (bytes.size() < kNpyPrefix + n_length) fail("{}: the npy header is truncated", error_location);
+    if (bytes.size() < kNpyPrefix + n_length) fail("{}: the npy header is truncated", where);
     std::uint32_t length = 0;
     std::memcpy(&length, bytes.data() + kNpyPrefix, n_length);
     const std::size_t start = kNpyPrefix + n_length;
-    if (length > bytes.size() - start) fail("{}: the npy header is truncated", error_location);
+    if (length > bytes.size() - start) fail("{}: the npy header is truncated", where);
     const std::string_view header = bytes.substr(start, length);
     const std::size_t fields_at = header.find("'descr':"), shape_at = header.find("'shape':");
     if (fields_at == header.npos || shape_at == header.npos)
-        fail("{}: the npy header has no descr or no shape, expected both", error_location);
+        fail("{}: the npy header has no descr or no shape, expected both", where);
     const std::vector<PointField> fields =
-        NumpyFieldListParser(header.substr(fields_at + 8), error_location).parse_field_list();
+        NumpyFieldListParser(header.substr(fields_at + 8), where).parse_field_list();
     const std::size_t n =
-        NumpyFieldListParser(header.substr(shape_at + 8), error_location).parse_shape_and_count_elements();
+        NumpyFieldListParser(header.substr(shape_at + 8), where).parse_shape_and_count_elements();
     return make_table_of_binary_points(file.make_shared_subview(bytes.substr(start + length)), fields, n,
-                                       PointMemoryLayout::by_point, error_location);
+                                       PointMemoryLayout::by_point, where);
 }
 
 }  // namespace relidar::folder

@@ -30,8 +30,6 @@ constexpr double kLastPart = 15.0 / 16.0;
 // Plausible time from the first to the last point of a scan, relative to the time between
 // scans. The lower limit is small, because a log may have only some of the scans.
 constexpr double kShortestSpan = 0.01, kLongestSpan = 3.0;
-// A larger azimuth step is a jump to another column.
-constexpr double kLargestStep_rad = 0.2;
 
 /// Sets `limit` to a value below the times before the overflow and above the other times.
 bool is_period_of_times(const std::vector<double>& times, std::array<double, 2> range, double period,
@@ -148,23 +146,6 @@ std::string describe_coarse_times(double time, double resolution) {
         "the times of points are ignored, because they have lost their precision: near {:.10g}, their "
         "smallest step is {:.3g}; expected 64-bit numbers, or times relative to the scan",
         time, resolution);
-}
-
-std::string describe_reversed_times(const PointTable& table) {
-    const PointFieldView *times = table.find_field(PointAttribute::time), *x = table.find_field("x"),
-                         *y = table.find_field("y");
-    if (!times || !x || !y || table.n < 2) return "";
-    double up = 0.0, down = 0.0, turned_rad = 0.0;
-    for (std::size_t i = 1; i < table.n; ++i) {
-        const double step = (*times)[i] - (*times)[i - 1];
-        (step > 0.0 ? up : down) += std::abs(step);
-        const double turn_rad =
-            std::remainder(std::atan2((*y)[i], (*x)[i]) - std::atan2((*y)[i - 1], (*x)[i - 1]), 2.0 * kPi);
-        if (std::abs(turn_rad) < kLargestStep_rad) turned_rad += turn_rad;
-    }
-    if (!(down > 0.0) || up > 0.1 * down || turned_rad > -kPi) return "";
-    return "the times of the points probably have the wrong sign: they decrease from point to point, and the "
-           "LiDAR would turn counterclockwise; expected times that increase while the LiDAR turns";
 }
 
 double estimate_sweep_span_s(const LidarPoints& points) {

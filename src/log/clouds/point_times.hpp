@@ -36,9 +36,6 @@ inline bool is_coarse_time(double resolution, double span) {
 /// Returns a note that times are ignored, because they have lost their precision.
 std::string describe_coarse_times(double time, double resolution);
 
-/// Returns a note if times decrease while the azimuths show a clockwise sensor.
-std::string describe_reversed_times(const PointTable& table);
-
 /// Returns the time from the first to the last point, without the outermost tenths of the
 /// points, extrapolated to all points.
 double estimate_sweep_span_s(const LidarPoints& points);

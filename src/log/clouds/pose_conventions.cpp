@@ -97,7 +97,7 @@ double OverlapScanPairs::compute_scan_overlap_fraction(const PoseTrack& world_fr
 
 std::size_t choose_pose_interpretation(const std::vector<PoseInterpretation>& interpretations,
                                        const OverlapScanPairReader& read_scan_pairs_or_null,
-                                       const std::string& error_location, Notes& notes) {
+                                       const std::string& where, Notes& notes) {
     std::vector<double> forward, upright;
     for (const PoseInterpretation& reading : interpretations) {
         const auto driving = stamped::estimate_driving_direction(reading.world_from_vehicle);
@@ -142,7 +142,7 @@ std::size_t choose_pose_interpretation(const std::vector<PoseInterpretation>& in
         notes.push_back(
             fmt::format("{}: poses are read as {}, because the vehicle then moves {:.2f} m {} per metre of "
                         "its path{}, but {:.2f} m forward if poses are read as {}",
-                        error_location, interpretations[best].about, std::abs(forward[best]),
+                        where, interpretations[best].about, std::abs(forward[best]),
                         forward[best] < 0.0 ? "backward" : "forward",
                         scans.empty() ? "" : " and consecutive scans overlap better", forward[0],
                         interpretations[0].about));
@@ -153,7 +153,7 @@ std::size_t choose_pose_interpretation(const std::vector<PoseInterpretation>& in
                          "forward per metre of its path with poses that are read as {}, but {:.2f} m "
                          "with {}; if these poses are wrong, add a first line with the names of the "
                          "columns",
-                         error_location, forward[0], interpretations[0].about, forward[undecided],
+                         where, forward[0], interpretations[0].about, forward[undecided],
                          interpretations[undecided].about)});
     return best;
 }

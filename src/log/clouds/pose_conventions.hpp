@@ -51,10 +51,10 @@ using OverlapScanPairReader = std::function<OverlapScanPairs()>;
 /// if the result is not 0, or if the vehicle drives backward and no scans decide.
 /// @param read_scan_pairs_or_null  called only if the motion contradicts the documented
 /// meaning
-/// @param error_location  name of the file, for the note
+/// @param where  name of the file, for the note
 std::size_t choose_pose_interpretation(const std::vector<PoseInterpretation>& interpretations,
                                        const OverlapScanPairReader& read_scan_pairs_or_null,
-                                       const std::string& error_location, Notes& notes);
+                                       const std::string& where, Notes& notes);
 
 /// Inverts the poses of a log, with a note, if the vehicle then drives forward and
 /// consecutive scans overlap better. Also decides the order of the quaternions if the

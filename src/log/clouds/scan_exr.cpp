@@ -2,11 +2,9 @@
 // Reads scans from EXR range images that `relidar render --format exr` has written. The
 // channels of an image have the same names as the arrays of an npz scan.
 #include <relidar/base/arrays.hpp>
-#include <relidar/base/error.hpp>
 #include <relidar/base/images.hpp>
 #include <relidar/log/sensor_files.hpp>
 
-#include <fmt/format.h>
 #include <fmt/ranges.h>
 
 #include "base/fail.hpp"
@@ -21,7 +19,7 @@ constexpr const char* kAxes[] = {".x", ".y", ".z"};
 /// Combines the channels x, y and z of an image into one array of vectors. Does nothing
 /// if all three are missing. Throws an error if only some are missing.
 void append_xyz_channels_as_array(const ExrImage& image, const std::string& channel_prefix,
-                                  const std::string& array_name, const std::string& error_location,
+                                  const std::string& array_name, const std::string& where,
                                   std::vector<NamedArray>& arrays) {
     const std::vector<float>* axis[3] = {};
     std::size_t n_axes_found = 0;
@@ -33,7 +31,7 @@ void append_xyz_channels_as_array(const ExrImage& image, const std::string& chan
     }
     if (n_axes_found == 0) return;
     if (n_axes_found < 3)
-        fail("{}: found only {} of the channels {}.x, .y and .z, expected all three or none", error_location,
+        fail("{}: found only {} of the channels {}.x, .y and .z, expected all three or none", where,
              n_axes_found, channel_prefix);
     std::vector<float> values;
     values.reserve(axis[0]->size() * 3);
@@ -43,21 +41,21 @@ void append_xyz_channels_as_array(const ExrImage& image, const std::string& chan
                                 values.data(), values.size()));
 }
 
-std::vector<NamedArray> convert_channels_to_arrays(const ExrImage& image, const std::string& error_location) {
+std::vector<NamedArray> convert_channels_to_arrays(const ExrImage& image, const std::string& where) {
     if (!image.channels.contains("range")) {
         std::vector<std::string> names;
         for (const auto& [name, values] : image.channels)
             if (names.size() < 8) names.push_back(shorten_for_error_message(name));
-        fail("{}: the channel 'range' is missing, expected it among the channels of the image: {}",
-             error_location, fmt::join(names, ", "));
+        fail("{}: the channel 'range' is missing, expected it among the channels of the image: {}", where,
+             fmt::join(names, ", "));
     }
     std::vector<NamedArray> arrays;
     for (const auto& [name, values] : image.channels)
         if (name.find('.') == std::string::npos)
             arrays.push_back(make_array(name, {std::size_t(image.rows), std::size_t(image.columns)},
                                         values.data(), values.size()));
-    append_xyz_channels_as_array(image, "direction", "directions", error_location, arrays);
-    append_xyz_channels_as_array(image, "origin", "origin", error_location, arrays);
+    append_xyz_channels_as_array(image, "direction", "directions", where, arrays);
+    append_xyz_channels_as_array(image, "origin", "origin", where, arrays);
     // name of the frame that the points are in; relidar writes it into the metadata of
     // rendered images
     const auto frame = image.notes.find("points_in");

@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
 // Notes for users about how points became scans.
-#include <algorithm>
 
 #include <fmt/format.h>
 

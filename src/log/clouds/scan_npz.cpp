@@ -4,11 +4,9 @@
 #include <algorithm>
 #include <cmath>
 
-#include <fmt/format.h>
 #include <fmt/ranges.h>
 
 #include <relidar/base/arrays.hpp>
-#include <relidar/base/error.hpp>
 
 #include "base/fail.hpp"
 #include "log/clouds/dropped_ray.hpp"
@@ -172,7 +170,7 @@ void set_ray_fields_that_exist(const ScanNpzArrays& arrays, const ScanImageConte
             rays.channel[i] = convert_ring_number(ring[i], arrays.format_ray_location("ring", i));
     }
     if (arrays.find_optional_array("divergence_rad")) {
-        rays.divergence_rad = static_cast<float>(arrays.get_single_number("divergence_rad"));
+        rays.divergence_rad = float(arrays.get_single_number("divergence_rad"));
         rays.ray_divergence_rad.clear();
     }
     if (arrays.find_optional_array("divergence")) {
@@ -195,51 +193,50 @@ RayTable make_rays_from_stored_directions(const ScanNpzArrays& arrays) {
 
 }  // namespace
 
-void require_declared_deskewing(bool is_deskewed, bool is_declared, const std::string& error_location) {
+void require_declared_deskewing(bool is_deskewed, bool is_declared, const std::string& where) {
     if (is_deskewed && !is_declared)
         fail(
             "{}: the points are motion-compensated or in the world frame, but sequence.json does not say so; "
             "set \"motion_compensated\": true in sequence.json, or render the scans again without --deskew "
             "and without --frame world",
-            error_location);
+            where);
 }
 
-float normalise_file_intensity(double file_value, const PointFileUnits& units,
-                               const std::string& error_location) {
+float normalise_file_intensity(double file_value, const PointFileUnits& units, const std::string& where) {
     if (!std::isfinite(file_value))
-        fail("{}: the intensity is {}, expected a finite number", error_location, file_value);
+        fail("{}: the intensity is {}, expected a finite number", where, file_value);
     if (units.intensity_max) return float(std::clamp(file_value / *units.intensity_max, 0.0, 1.0));
     if (file_value < 0.0 || file_value > 1.0)
-        fail("{}: the intensity is {}, expected 0 to 1, or \"intensity_max\" in sequence.json",
-             error_location, file_value);
+        fail("{}: the intensity is {}, expected 0 to 1, or \"intensity_max\" in sequence.json", where,
+             file_value);
     return float(file_value);
 }
 
 float convert_point_time_to_frame_offset_s(double file_value, const PointFileUnits& units,
-                                           double frame_time_s, const std::string& error_location) {
+                                           double frame_time_s, const std::string& where) {
     const double offset_s =
         (file_value - units.time_zero) * units.time_unit_s - (units.absolute_times ? frame_time_s : 0.0);
     if (!(std::abs(offset_s) <= kMaxTimeOffset_s))
         fail(
             "{}: the time {} is {} s away from the time of the frame, expected at most {} s; check the unit "
             "and the start of the times of points (\"time_unit\" and \"point_times\" in sequence.json)",
-            error_location, file_value, offset_s, kMaxTimeOffset_s);
+            where, file_value, offset_s, kMaxTimeOffset_s);
     return float(offset_s);
 }
 
-std::uint16_t convert_ring_number(double file_value, const std::string& error_location) {
+std::uint16_t convert_ring_number(double file_value, const std::string& where) {
     if (!(file_value >= 0.0 && file_value < kNoBeam) || file_value != std::floor(file_value))
-        fail("{}: the ring is {}, expected a whole number below {}", error_location, file_value, kNoBeam);
+        fail("{}: the ring is {}, expected a whole number below {}", where, file_value, kNoBeam);
     return std::uint16_t(file_value);
 }
 
-Scan make_scan_from_arrays(const std::string& error_location, std::vector<NamedArray> stored_arrays,
+Scan make_scan_from_arrays(const std::string& where, std::vector<NamedArray> stored_arrays,
                            const ScanImageContext& image_context) {
     const bool has_rays = find_array(stored_arrays, "directions") != nullptr;
     const NamedArray* range = find_array(stored_arrays, "range");
     if (!has_rays && image_context.lowest_first && range && range->shape.size() == 2)
         reverse_image_rows(stored_arrays, range->shape[0]);
-    const ScanNpzArrays arrays(error_location, std::move(stored_arrays));
+    const ScanNpzArrays arrays(where, std::move(stored_arrays));
     const NamedArray* deskewed = arrays.find_optional_array("deskewed");
     require_declared_deskewing(
         deskewed && deskewed->count_array_elements() == 1 && deskewed->convert_to_floats()[0] != 0.0f,

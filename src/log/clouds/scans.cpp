@@ -8,10 +8,6 @@
 #include <algorithm>
 #include <cmath>
 
-#include <fmt/format.h>
-
-#include <relidar/base/error.hpp>
-
 #include "base/fail.hpp"
 #include "log/sensor/beam_geometry.hpp"
 
@@ -62,15 +58,13 @@ void require_valid_point_arrays(const LidarPoints& points, std::size_t n_beams) 
 }
 
 std::vector<int> find_nearest_firing_per_tick(const std::vector<int>& firing_ticks, int n_ticks) {
-    std::vector<int> nearest(static_cast<std::size_t>(n_ticks), kEmpty);
-    for (std::size_t f = 0; f < firing_ticks.size(); ++f)
-        nearest[static_cast<std::size_t>(firing_ticks[f])] = static_cast<int>(f);
+    std::vector<int> nearest(std::size_t(n_ticks), kEmpty);
+    for (std::size_t f = 0; f < firing_ticks.size(); ++f) nearest[std::size_t(firing_ticks[f])] = int(f);
     std::vector<int> filled = nearest;
     for (int t = 0; t < n_ticks; ++t) {
-        for (int d = 1; filled[static_cast<std::size_t>(t)] == kEmpty && d < n_ticks; ++d) {
-            const int below = nearest[static_cast<std::size_t>((t - d % n_ticks + n_ticks) % n_ticks)];
-            filled[static_cast<std::size_t>(t)] =
-                below != kEmpty ? below : nearest[static_cast<std::size_t>((t + d) % n_ticks)];
+        for (int d = 1; filled[std::size_t(t)] == kEmpty && d < n_ticks; ++d) {
+            const int below = nearest[std::size_t((t - d % n_ticks + n_ticks) % n_ticks)];
+            filled[std::size_t(t)] = below != kEmpty ? below : nearest[std::size_t((t + d) % n_ticks)];
         }
     }
     return filled;
@@ -81,12 +75,12 @@ std::vector<int> find_nearest_firing_per_tick(const std::vector<int>& firing_tic
 std::vector<int> assign_firings_to_columns(const SweepFirings& sweep, int n_columns) {
     const std::size_t n = sweep.firings.size();
     std::vector<int> repeat(n, 1);
-    int n_extra_columns = n_columns - static_cast<int>(n);
+    int n_extra_columns = n_columns - int(n);
     const double step = 2.0 * kPi / n_columns;
     for (std::size_t f = 0; f + 1 < n && n_extra_columns > 0; ++f) {
         const double gap = sweep.lattice.compute_azimuth_of_encoder_tick_rad(sweep.firings[f]) -
                            sweep.lattice.compute_azimuth_of_encoder_tick_rad(sweep.firings[f + 1]);
-        const int missing = std::min(static_cast<int>(std::lround(gap / step)) - 1, n_extra_columns);
+        const int missing = std::min(int(std::lround(gap / step)) - 1, n_extra_columns);
         if (missing > 0) {
             repeat[f] += missing;
             n_extra_columns -= missing;
@@ -94,9 +88,8 @@ std::vector<int> assign_firings_to_columns(const SweepFirings& sweep, int n_colu
     }
     repeat.back() += std::max(n_extra_columns, 0);
     std::vector<int> slot;
-    for (std::size_t f = 0; f < n; ++f)
-        slot.insert(slot.end(), static_cast<std::size_t>(repeat[f]), static_cast<int>(f));
-    slot.resize(static_cast<std::size_t>(n_columns));
+    for (std::size_t f = 0; f < n; ++f) slot.insert(slot.end(), std::size_t(repeat[f]), int(f));
+    slot.resize(std::size_t(n_columns));
     return slot;
 }
 
@@ -131,7 +124,7 @@ private:
     std::vector<int> nearest_;
 
     float compute_point_range(int point_index) const {
-        return glm::length(points_.position_m[static_cast<std::size_t>(point_index)]);
+        return glm::length(points_.position_m[std::size_t(point_index)]);
     }
 
     RayPointIndices& get_or_add_point_indices_of_return(std::size_t return_index) {
@@ -142,7 +135,7 @@ private:
     }
 
     std::size_t find_nearest_firing(std::size_t point_index) const {
-        return static_cast<std::size_t>(
+        return std::size_t(
             nearest_[std::size_t(sweep_.lattice.find_nearest_encoder_tick(head_rad_[point_index]))]);
     }
 
@@ -163,36 +156,36 @@ private:
                           number = get_zero_based_return_number(points_, point_index);
         const int earlier = find_firing_of_earlier_return(point_index);
         column_of_.push_back(kEmpty);
-        const double range = compute_point_range(static_cast<int>(point_index));
+        const double range = compute_point_range(int(point_index));
         firing_of.push_back(kEmpty);
         if (range > sensor_.max_range_m || range < kLeastRange_m) return;
         std::size_t firing =
             points_.firing.empty() ? find_nearest_firing(point_index) : points_.firing[point_index];
         if (earlier != kEmpty) firing = std::size_t(earlier);
-        firing_of.back() = static_cast<int>(firing);
+        firing_of.back() = int(firing);
         RayPointIndices& cells = get_or_add_point_indices_of_return(number);
-        int point = static_cast<int>(point_index);
+        int point = int(point_index);
         for (const std::size_t f : {firing, (firing + 1) % n, (firing + n - 1) % n}) {
             // If the ray of a first return is occupied, tries the neighbouring firings.
             if (cells.get_point_index(ring, f) != kEmpty || (number > 0 && f != firing)) continue;
             std::swap(cells.get_point_index(ring, f), point);
-            column_of_.back() = static_cast<int>(f);
+            column_of_.back() = int(f);
             break;
         }
         if (point != kEmpty && range < compute_point_range(cells.get_point_index(ring, firing))) {
             cells.get_point_index(ring, firing) = point;
-            column_of_.back() = static_cast<int>(firing);
+            column_of_.back() = int(firing);
         }
     }
 
     /// Does nothing if the ray already has a point.
     void assign_far_point_to_ray_without_point(std::size_t point_index) {
-        if (!(double(compute_point_range(static_cast<int>(point_index))) > sensor_.max_range_m)) return;
+        if (!(double(compute_point_range(int(point_index))) > sensor_.max_range_m)) return;
         const std::size_t firing =
             points_.firing.empty() ? find_nearest_firing(point_index) : points_.firing[point_index];
         int& point = get_or_add_point_indices_of_return(get_zero_based_return_number(points_, point_index))
                          .get_point_index(points_.ring[point_index], firing);
-        if (point == kEmpty) point = static_cast<int>(point_index);
+        if (point == kEmpty) point = int(point_index);
     }
 };
 
@@ -230,7 +223,7 @@ std::vector<double> compute_firing_times(const LidarPoints& points, const Spinni
 }
 
 void resize_scan_arrays(Scan& scan, int rows, int columns, std::size_t n_second_returns, bool has_classes) {
-    const std::size_t n = static_cast<std::size_t>(rows) * static_cast<std::size_t>(columns);
+    const std::size_t n = std::size_t(rows) * std::size_t(columns);
     scan.rays.rows = rows;
     scan.rays.columns = columns;
     scan.rays.origin.assign(n, glm::vec3(0.0f));
@@ -263,7 +256,7 @@ bool set_ray_with_return(Scan& scan, std::size_t ray_index, const BeamRayGenerat
     if (!(range > kLeastRange_m)) return false;
     scan.rays.origin[ray_index] = glm::vec3(origin);
     scan.rays.direction[ray_index] = glm::vec3((p - origin) / range);
-    scan.range_m[ray_index] = static_cast<float>(range);
+    scan.range_m[ray_index] = float(range);
     scan.intensity[ray_index] = glm::clamp(points.intensity[point_index], 0.0f, 1.0f);
     if (!points.time_offset_s.empty()) scan.rays.time_offset_s[ray_index] = points.time_offset_s[point_index];
     if (!points.classes.empty()) scan.classes[ray_index] = points.classes[point_index];
@@ -311,17 +304,17 @@ Scan assign_points_to_rays_of_spinning_scan(const LidarPoints& points, const Spi
         firing_rad.push_back(sweep_firings.lattice.compute_azimuth_of_encoder_tick_rad(tick));
     const int columns = sensor.columns;
     Scan scan;
-    resize_scan_arrays(scan, static_cast<int>(sensor.beams.size()), columns, assigned.by_return.size() - 1,
+    resize_scan_arrays(scan, int(sensor.beams.size()), columns, assigned.by_return.size() - 1,
                        !points.classes.empty());
-    scan.rays.divergence_rad = static_cast<float>(sensor.divergence_rad);
+    scan.rays.divergence_rad = float(sensor.divergence_rad);
     std::size_t at = 0;
     for (std::size_t ring = 0; ring < sensor.beams.size(); ++ring) {
         const int shift = compute_beam_azimuth_offset_columns(sensor.beams[ring], columns);
         for (int column = 0; column < columns; ++column, ++at) {
-            const std::size_t firing = static_cast<std::size_t>(
-                slot[static_cast<std::size_t>(((column + shift) % columns + columns) % columns)]);
-            scan.rays.time_offset_s[at] = static_cast<float>(times[firing]);
-            scan.rays.channel[at] = static_cast<std::uint16_t>(ring);
+            const std::size_t firing =
+                std::size_t(slot[std::size_t(((column + shift) % columns + columns) % columns)]);
+            scan.rays.time_offset_s[at] = float(times[firing]);
+            scan.rays.channel[at] = std::uint16_t(ring);
             const int first = assigned.by_return[0].get_point_index(ring, firing);
             if (first == kEmpty || !set_ray_with_return(scan, at, beams[ring], head_rad[std::size_t(first)],
                                                         points, std::size_t(first)))
@@ -347,7 +340,7 @@ Scan make_scan_with_one_ray_per_point(const LidarPoints& points) {
             first.push_back(i);
     }
     Scan scan;
-    resize_scan_arrays(scan, 1, static_cast<int>(first.size()), n_second_returns, !points.classes.empty());
+    resize_scan_arrays(scan, 1, int(first.size()), n_second_returns, !points.classes.empty());
     for (std::size_t at = 0; at < first.size(); ++at) {
         const std::size_t i = first[at];
         const float range = glm::length(points.position_m[i]);

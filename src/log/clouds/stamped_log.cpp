@@ -6,9 +6,6 @@
 #include <cmath>
 #include <complex>
 
-#include <fmt/format.h>
-
-#include <relidar/base/error.hpp>
 #include <relidar/log/clouds.hpp>
 #include <relidar/log/log_time.hpp>
 
@@ -18,7 +15,6 @@
 #include "base/median.hpp"
 #include "log/clouds/folder_points.hpp"
 #include "log/clouds/log_files.hpp"
-#include "log/clouds/point_meaning.hpp"
 
 namespace relidar::stamped {
 namespace {
@@ -40,22 +36,22 @@ constexpr double kSameTime = 1e-6;
 constexpr double kLargestCoordinate_m = 1e8;
 
 StampedPoseRow parse_stamped_row(const std::vector<std::string_view>& cells, std::size_t n_values,
-                                 const std::string& error_location) {
-    StampedPoseRow row{0, {}, error_location};
+                                 const std::string& where) {
+    StampedPoseRow row{0, {}, where};
     std::optional<std::int64_t> stamp = parse_integer_timestamp(cells[0]);
     if (!stamp) {  // Some programs write time stamps with a fraction or an exponent.
         const std::optional<double> number = parse_number(cells[0]);
         if (number && *number >= 0.0 && *number < 9e18) stamp = std::int64_t(std::llround(*number));
     }
-    if (!stamp) fail("{}: found '{}', expected a time", error_location, shorten_for_error_message(cells[0]));
+    if (!stamp) fail("{}: found '{}', expected a time", where, shorten_for_error_message(cells[0]));
     row.stamp = *stamp;
     if (cells.size() < n_values + 1)
-        fail("{}: found {} cells in the line, expected a time and {} numbers, separated by commas",
-             error_location, cells.size(), n_values);
+        fail("{}: found {} cells in the line, expected a time and {} numbers, separated by commas", where,
+             cells.size(), n_values);
     for (std::size_t c = 1; c <= n_values; ++c) {
         const std::optional<double> number = parse_number(cells[c]);
         if (!number || !(std::abs(*number) <= kLargestCoordinate_m))
-            fail("{}: cell {} is '{}', expected a number from {:g} to {:g}", error_location, c + 1,
+            fail("{}: cell {} is '{}', expected a number from {:g} to {:g}", where, c + 1,
                  shorten_for_error_message(cells[c]), -kLargestCoordinate_m, kLargestCoordinate_m);
         row.values.push_back(*number);
     }
@@ -334,14 +330,13 @@ void read_scans_of_frames(LidarSequence& sequence, const std::vector<fs::path>& 
     folder::read_scans(sequence, layout, source, options);
 }
 
-DatasetIntensityScale estimate_dataset_intensity_scale(const std::vector<fs::path>& scan_files,
+folder::IntensityScale estimate_dataset_intensity_scale(const std::vector<fs::path>& scan_files,
                                                        const std::vector<std::string>& column_names) {
     std::vector<folder::PointTable> samples;
     folder::read_samples(scan_files.size(), [&](std::size_t i) {
         samples.push_back(folder::read_point_file(scan_files[i], column_names));
     });
-    const folder::IntensityScale scale = folder::interpret_point_fields(samples).scale;
-    return {scale.max, scale.about};
+    return folder::interpret_point_fields(samples).scale;
 }
 
 }  // namespace relidar::stamped

@@ -14,6 +14,7 @@
 #include <relidar/log/dataset.hpp>
 
 #include "log/clouds/folder_head.hpp"
+#include "log/clouds/point_meaning.hpp"
 #include "log/clouds/point_table.hpp"
 
 namespace relidar::stamped {
@@ -97,16 +98,9 @@ struct PointFileFormat {
 void read_scans_of_frames(LidarSequence& sequence, const std::vector<std::filesystem::path>& scan_files,
                           PointFileFormat format, const DatasetOptions& options);
 
-/// Intensity scale of the files of a dataset: intensity = value in a file / `most`.
-/// `most` is 1 if no value exceeds 1, otherwise 255 if no value exceeds 255, otherwise a
-/// value that only a few values exceed.
-struct DatasetIntensityScale {
-    double most = 1.0;
-    std::string about;  ///< text for a note, used if larger intensities are clamped to 1
-};
 /// Estimates which intensity value in the files must be converted to intensity 1.
 /// @param scan_files  scan files; only some are read, and unreadable files are skipped
-DatasetIntensityScale estimate_dataset_intensity_scale(const std::vector<std::filesystem::path>& scan_files,
-                                                       const std::vector<std::string>& column_names);
+folder::IntensityScale estimate_dataset_intensity_scale(const std::vector<std::filesystem::path>& scan_files,
+                                                        const std::vector<std::string>& column_names);
 
 }  // namespace relidar::stamped

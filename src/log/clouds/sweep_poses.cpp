@@ -25,7 +25,7 @@ PoseTrack compute_pose_corrections(const LidarSequence& sequence, const LidarFra
                                    const PoseLookup& find_vehicle_pose) {
     const Pose& mounted = sequence.get_lidar(frame).vehicle_from_sensor;
     const auto [first, last] = std::ranges::minmax(frame.scan.rays.time_offset_s);
-    const int n = 1 + static_cast<int>(std::ceil(double(last - first) / kStep_s));
+    const int n = 1 + int(std::ceil(double(last - first) / kStep_s));
     PoseTrack track;
     for (int k = 0; k <= n; ++k) {
         const double offset_s = double(first) + double(last - first) * k / n, t_s = frame.time_s + offset_s;
@@ -64,7 +64,7 @@ double move_rays_and_get_max_displacement_m(LidarFrame& frame, const PoseTrack& 
 std::string correct_rays_for_vehicle_motion(LidarSequence& sequence, const PoseLookup& find_vehicle_pose) {
     if (!sequence.rolling_shutter) return "";
     std::vector<double> moved_m(sequence.frames.size(), 0.0);
-    parallel_for(static_cast<int>(sequence.frames.size()), [&](int index) {
+    parallel_for(int(sequence.frames.size()), [&](int index) {
         LidarFrame& frame = sequence.frames[std::size_t(index)];
         if (frame.scan.rays.size() == 0) return;
         const PoseTrack track = compute_pose_corrections(sequence, frame, find_vehicle_pose);

@@ -3,7 +3,6 @@
 // frame or box and the field.
 #include <relidar/log/clouds.hpp>
 
-#include <cmath>
 #include <functional>
 #include <limits>
 

@@ -157,23 +157,5 @@ TEST(PointTimes, LostPrecisionIsReported) {
         EXPECT_TRUE(estimate_units(clouds).is_deskewed);
 }
 
-TEST(PointTimes, ReversedTimesAreReported) {
-    const auto describe = [](double sign) {
-        folder::PointTable cloud(kPoints);
-        std::vector<float> x, y, t;
-        for (std::size_t i = 0; i < kPoints; ++i) {
-            x.push_back(std::cos(-0.006f * float(i)));
-            y.push_back(std::sin(-0.006f * float(i)));
-            t.push_back(float(sign * 1e-4 * double(i)));
-        }
-        cloud.add_value_field("x", folder::ScalarType::f4, x, "test");
-        cloud.add_value_field("y", folder::ScalarType::f4, y, "test");
-        cloud.add_value_field("t", folder::ScalarType::f4, t, "test");
-        return folder::describe_reversed_times(cloud);
-    };
-    EXPECT_THAT(describe(-1.0), testing::HasSubstr("wrong sign"));
-    EXPECT_EQ(describe(1.0), "");
-}
-
 }  // namespace
 }  // namespace relidar::bag

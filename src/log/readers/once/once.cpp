@@ -156,8 +156,8 @@ LidarSequence load_once_dataset(const fs::path& log_folder, const DatasetOptions
     sequence.lidars[0].sensor.max_range_m = options.max_range_m;
     const std::vector<fs::path> files = stamped::add_frames_and_get_scan_files(sequence, log, options);
     stamped::PointFileFormat format;
-    const stamped::DatasetIntensityScale brightness = stamped::estimate_dataset_intensity_scale(files, {});
-    format.units.intensity_max = brightness.most;
+    const folder::IntensityScale brightness = stamped::estimate_dataset_intensity_scale(files, {});
+    format.units.intensity_max = brightness.max;
     if (!brightness.about.empty()) sequence.notes.push_back(brightness.about);
     format.sweep_duration_s = kRevolution_s;
     format.turned_rad = kTurned_rad;
