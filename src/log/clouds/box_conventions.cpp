@@ -218,8 +218,7 @@ void remove_boxes_of_vehicle(LidarSequence& sequence) {
     });
     if (!names.empty())
         sequence.notes.push_back(
-            fmt::format("boxes that contain the sensor are left out, because they are probably the recording "
-                        "vehicle itself: {}",
+            fmt::format("boxes around the sensor are left out, because they are probably the vehicle: {}",
                         fmt::join(names, ", ")));
 }
 

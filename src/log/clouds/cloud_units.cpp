@@ -137,10 +137,9 @@ void set_point_time_unit_from_ranges(PointCloudUnits& units, const std::vector<T
             find_reference_of_point_times(signed_ranges, unit.seconds, sweep_s) == PointTimeReference::stamp)
             units.zero = PointTimeReference::stamp;
         units.time_unit_s = unit.seconds;
-        units.about = fmt::format(
-            "the times of points are read in {}; {}; a cloud lasts {:.1f} ms from its first to its last "
-            "point",
-            unit.name, describe_point_time_reference(units.zero), 1e3 * span * unit.seconds);
+        units.about =
+            fmt::format("the times of points are read in {}; {}; a cloud lasts {:.1f} ms", unit.name,
+                        describe_point_time_reference(units.zero), 1e3 * span * unit.seconds);
         return;
     }
     units.about = units.is_deskewed

@@ -64,8 +64,7 @@ void remove_returns_that_mark_dropped_rays(LidarSequence& sequence) {
                                               {0.0, double(far.range_m) * (1.0 - double(kSameRange))});
         const std::string& name = sequence.lidars[l].name;
         sequence.notes.push_back(fmt::format(
-            "range{}: {} of {} points have exactly the largest range, {} m, so they are read as rays without "
-            "return",
+            "range{}: {} of {} points have exactly the largest range, {} m: rays without return",
             name.empty() ? "" : " of " + name, far.n, far.n_all, round_range_to_half_metre(far.range_m)));
     }
 }

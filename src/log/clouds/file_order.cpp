@@ -111,9 +111,8 @@ std::vector<double> compute_median_ring_elevations(const LidarPoints& points,
 }
 
 /// Returns |elevation of a point - elevation of its ring|.
-std::vector<double> compute_ring_elevation_errors(const LidarPoints& points,
-                                                  const std::vector<std::uint16_t>& ring_of_point,
-                                                  const std::vector<double>& ring_elevations_rad) {
+std::vector<double> ring_errors(const LidarPoints& points, const std::vector<std::uint16_t>& ring_of_point,
+                                const std::vector<double>& ring_elevations_rad) {
     std::vector<double> errors;
     errors.reserve(points.size());
     for (std::size_t i = 0; i < points.size(); ++i)
@@ -134,7 +133,7 @@ double find_ring_start_azimuth_rad(const LidarPoints& points,
     const auto spread = [&](double first_rad) {
         const std::vector<std::uint16_t> ring = compute_revolution_numbers(some_turned, first_rad);
         const std::vector<double> errors =
-            compute_ring_elevation_errors(some, ring, compute_median_ring_elevations(some, ring));
+            ring_errors(some, ring, compute_median_ring_elevations(some, ring));
         // Unlike the median, the mean increases even if only a few points are in a wrong
         // ring.
         return std::accumulate(errors.begin(), errors.end(), 0.0) / double(errors.size());
@@ -170,7 +169,7 @@ bool are_rings_sorted_and_separated(const LidarPoints& points,
     }
     if (steps.empty() || double(std::max(n_up, n_down)) < kSorted * double(ring_elevations_rad.size() - 1))
         return false;
-    return compute_median(compute_ring_elevation_errors(points, ring_of_point, ring_elevations_rad)) <
+    return compute_median(ring_errors(points, ring_of_point, ring_elevations_rad)) <
            kInRing * compute_median(steps);
 }
 

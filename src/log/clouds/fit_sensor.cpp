@@ -94,9 +94,8 @@ int estimate_column_count(const LidarPoints& scan, const RingPointLists& rings) 
     }
     if (steps.size() < kFewestSteps)
         fail(
-            "cannot estimate the beams of the spinning LiDAR from {} points in {} rings: only {} pairs of "
-            "neighbouring points in a ring differ in azimuth by {:.2f} to {:.1f} degrees, expected at least "
-            "{} pairs",
+            "cannot estimate the beams from {} points in {} rings: found {} neighbours in a ring that are "
+            "{:.2f} to {:.1f} degrees apart, expected at least {}",
             scan.size(), rings.size(), steps.size(), kLeastStep_rad * 180.0 / kPi,
             kLargestStep_rad * 180.0 / kPi, kFewestSteps);
     return int(std::lround(2.0 * kPi / compute_quantile_and_reorder(steps, 0.25)));
@@ -195,22 +194,15 @@ FittedSensor estimate_spinning_sensor(const std::vector<LidarPoints>& scans, dou
     const LidarPoints* fullest = nullptr;
     for (const LidarPoints& scan : scans) {
         if (scan.ring.size() != scan.size())
-            fail<UsageError>(
-                "cannot estimate the beams of the spinning LiDAR: found {} ring numbers for {} points, "
-                "expected one per point",
-                scan.ring.size(), scan.size());
+            fail<UsageError>("cannot estimate the beams: found {} ring numbers for {} points",
+                             scan.ring.size(), scan.size());
         for (const std::uint16_t ring : scan.ring) n_rings = std::max(n_rings, std::size_t(ring) + 1);
         if (!fullest || scan.size() > fullest->size()) fullest = &scan;
     }
-    if (n_rings == 0)
-        throw UsageError(
-            "cannot estimate the beams of the spinning LiDAR: there are no points, expected the points of a "
-            "few scans");
+    if (n_rings == 0) throw UsageError("cannot estimate the beams: found no points, expected a few scans");
     if (n_rings > kMostRings)
-        fail(
-            "cannot estimate the beams of the spinning LiDAR: a point has the ring number {}, expected a "
-            "ring number below {}",
-            n_rings - 1, kMostRings);
+        fail("cannot estimate the beams: found the ring number {}, expected one below {}", n_rings - 1,
+             kMostRings);
     const RingPointLists rings = group_points_by_ring(*fullest, n_rings);
     const FiringColumnGrid lattice = estimate_columns_and_ring_offsets(*fullest, rings);
     const std::vector<std::optional<double>> elevations = estimate_ring_elevations(scans, n_rings);

@@ -185,7 +185,7 @@ private:
 
     /// Reads the points of a few frames, or of all frames until one has points. A scan
     /// whose times are wrong is broken if the times of other scans are right.
-    std::map<std::size_t, LidarPoints> read_samples_of_lidar(const std::vector<std::size_t>& frame_indices) {
+    std::map<std::size_t, LidarPoints> load_samples(const std::vector<std::size_t>& frame_indices) {
         std::map<std::size_t, LidarPoints> samples;
         std::map<std::size_t, std::string> wrong;
         const auto add_sample = [&](std::size_t index) {
@@ -212,7 +212,7 @@ private:
 
     void plan_lidar(int lidar_index, const std::vector<std::size_t>& frame_indices) {
         const auto l = std::size_t(lidar_index);
-        std::map<std::size_t, LidarPoints> by_frame = read_samples_of_lidar(frame_indices);
+        std::map<std::size_t, LidarPoints> by_frame = load_samples(frame_indices);
         const auto list_samples = [&] {
             std::vector<LidarPoints> samples;
             for (const auto& [frame, points] : by_frame) samples.push_back(points);

@@ -19,8 +19,8 @@ Pose check_rotation_and_make_pose(const glm::dmat3& rotation, const glm::dvec3& 
     }
     if (!(worst <= 1e-3) || glm::determinant(rotation) < 0.0) {
         fail(
-            "{}: the 3x3 block is not a rotation: R^T R differs from the identity by {:.3g} and the "
-            "determinant is {:.3g}, expected an orthonormal matrix within 0.001",
+            "{}: R^T R differs from the identity by {:.3g}, the determinant is {:.3g}, expected a rotation "
+            "(orthonormal)",
             where, worst, glm::determinant(rotation));
     }
     return {glm::normalize(glm::quat_cast(rotation)), translation};

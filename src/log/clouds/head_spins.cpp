@@ -73,8 +73,7 @@ std::string explain_why_not_spinning(const std::vector<LidarPoints>& scans,
     if (const double spread = compute_ring_elevation_spread(*fullest); spread > kMostSpread_rad)
         return fmt::format(
             "the points of one ring differ in elevation by {:.1f} degrees; the usual causes are merged "
-            "clouds of several LiDARs, wrong ring numbers, or points that are not in the LiDAR's frame (x "
-            "forward, y left, z up)",
+            "clouds of several LiDARs, wrong rings, or another frame",
             spread * 180.0 / kPi);
     const double gap = compute_widest_azimuth_gap(scans);
     if (gap < kLeastGap_rad || fullest->time_offset_s.empty() ||

@@ -91,10 +91,8 @@ std::vector<int> list_scan_numbers(const fs::path& folder, int begin_number, int
         text_scans = text_scans || file.extension() == ".txt";
     }
     if (all.empty() && text_scans)
-        fail(
-            "{}: the scans are text files, so this is an unsynced drive (_extract); expected the synced "
-            "drive (_sync) with files like 0000000000.bin",
-            folder.string());
+        fail("{}: found text files of an unsynced drive (_extract), expected the synced drive (_sync)",
+             folder.string());
     if (all.empty()) fail("{}: no scans were found, expected files like 0000000000.bin", folder.string());
     std::sort(all.begin(), all.end());
     std::copy_if(all.begin(), all.end(), std::back_inserter(frames),
@@ -124,10 +122,8 @@ ScanPoints read_kitti_scan_points(const fs::path& scan_file, const fs::path& lab
         const glm::vec4& p = points[i];
         const double largest = std::max({std::abs(p.x), std::abs(p.y), std::abs(p.z)});
         if (!is_valid_return_point(p) || (std::isfinite(p.w) && largest <= kFarthestReturn_m)) continue;
-        fail(
-            "{}: point {} is ({}, {}, {}) with intensity {}, expected finite values and coordinates of at "
-            "most {} m",
-            scan_file.string(), i, p.x, p.y, p.z, p.w, kFarthestReturn_m);
+        fail("{}: point {} is ({}, {}, {}) with intensity {}, expected finite values up to {} m",
+             scan_file.string(), i, p.x, p.y, p.z, p.w, kFarthestReturn_m);
     }
     if (!label_file.empty() && does_path_exist(label_file))
         scan.classes = read_semantic_kitti_classes(label_file, points.size());

@@ -153,19 +153,15 @@ std::string decompress_lzf(std::string_view compressed_data, std::size_t decompr
 /// stores one field after another.
 std::string decompress_pcd_points(std::string_view compressed_data, const std::string& where) {
     if (compressed_data.size() < 8)
-        fail(
-            "{}: the file is truncated: found {} bytes after the header, expected at least 8 with the sizes "
-            "of the data",
-            where, compressed_data.size());
+        fail("{}: the file is truncated: found {} bytes after the header, expected at least 8", where,
+             compressed_data.size());
     std::uint32_t packed = 0, size = 0;
     std::memcpy(&packed, compressed_data.data(), 4);
     std::memcpy(&size, compressed_data.data() + 4, 4);
     compressed_data.remove_prefix(8);
     if (packed > compressed_data.size() || size / kMostExpansion > packed)
-        fail(
-            "{}: the file says that {} bytes of compressed data unpack to {} bytes, which is impossible with "
-            "the {} bytes of data that it has, so it is damaged",
-            where, packed, size, compressed_data.size());
+        fail("{}: the file is damaged: {} bytes cannot unpack to {} bytes, and it has {} bytes", where,
+             packed, size, compressed_data.size());
     return decompress_lzf(compressed_data.substr(0, packed), size, where);
 }
 

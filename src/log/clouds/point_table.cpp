@@ -128,16 +128,15 @@ PointTable read_float32_points(const fs::path& bin_file, const std::vector<std::
     for (const std::string& column : column_names) fields.push_back({column, 'F', sizeof(float)});
     if (is_nclt_packed_file(data.bytes))
         fail(
-            "{}: found points of the dataset NCLT (velodyne_sync): uint16 x, y, z, uint8 intensity, uint8 "
-            "laser; expected float32 values; convert x, y and z to metres (value * 0.005 - 100), negate y "
-            "and z, and name the columns in sequence.json: \"columns\": [\"x\", \"y\", \"z\", \"intensity\", "
+            "{}: found points of NCLT (uint16 x, y, z, uint8 intensity, laser), expected float32; convert x, "
+            "y, z to metres (value * 0.005 - 100), negate y and z, and set \"columns\": [\"x\", \"y\", "
+            "\"z\", \"intensity\", "
             "\"ring\"]",
             bin_file.string());
     const std::size_t record = fields.size() * sizeof(float);
     if (n_bytes % record != 0)
         fail(
-            "{}: found {} bytes, expected a multiple of {} bytes for points of {} float32 values "
-            "(\"columns\" in sequence.json)",
+            "{}: found {} bytes, expected a multiple of {}: {} float32 values (\"columns\" in sequence.json)",
             bin_file.string(), n_bytes, record, fields.size());
     PointTable table = make_table_of_binary_points(data, fields, n_bytes / record,
                                                    PointMemoryLayout::by_point, bin_file.string());
@@ -395,10 +394,8 @@ PointTable read_point_file(const fs::path& file, const std::vector<std::string>&
         return parse_text_points(make_shared_bytes(read_file(file)), column_names, file.string());
     if (const std::string other = describe_unsupported_format(file); !other.empty())
         fail("{}: {}", file.string(), other);
-    fail(
-        "{}: found the file name ending '{}', expected .npz, .exr, .pcd, .ply, .bin, .npy, .las, .csv or "
-        ".xyz",
-        file.string(), shorten_for_error_message(ending));
+    fail("{}: found a file '{}', expected .npz, .exr, .pcd, .ply, .bin, .npy, .las, .csv or .xyz",
+         file.string(), shorten_for_error_message(ending));
 }
 
 }  // namespace relidar::folder

@@ -168,14 +168,12 @@ std::string describe_implausible_times(const std::vector<LidarPoints>& scans, do
     if (span_s < kShortestSpan * frame_step_s || span_s > kLongestSpan * frame_step_s)
         return fmt::format(
             "the times of the points are probably wrong: those of one scan span {:.3g} s, but a new scan "
-            "begins every {:.3g} s; check the unit of the times, and whether 32-bit numbers store absolute "
-            "times",
+            "begins every {:.3g} s; check the unit of the times",
             span_s, frame_step_s);
     if (offset_s > kLongestSpan * frame_step_s)
         return fmt::format(
             "the times of the points are probably wrong: they differ by up to {:.3g} s from the time of "
-            "their scan, but a new scan begins every {:.3g} s; check whether the times are relative to the "
-            "scan",
+            "their scan, but a new scan begins every {:.3g} s",
             offset_s, frame_step_s);
     return "";
 }

@@ -24,7 +24,7 @@ constexpr double kCell_m = 0.5;  // edge length of the cells in which the overla
 constexpr float kMinComparedRange_m = 3.0f,
                 kMaxComparedRange_m = 40.0f;  // only points in this interval of ranges are compared
 
-bool is_point_ignored_for_scan_overlap(const glm::vec3& point_m) {
+bool is_outside_overlap(const glm::vec3& point_m) {
     const float range_m = glm::length(point_m);
     return !(range_m > kMinComparedRange_m && range_m < kMaxComparedRange_m);
 }
@@ -73,8 +73,8 @@ OverlapScanPairs collect_consecutive_scan_pairs(const LidarSequence& sequence) {
 
 void OverlapScanPairs::add_scan_pair(double first_time_s, std::vector<glm::vec3> first_points_m,
                                      double second_time_s, std::vector<glm::vec3> second_points_m) {
-    std::erase_if(first_points_m, is_point_ignored_for_scan_overlap);
-    std::erase_if(second_points_m, is_point_ignored_for_scan_overlap);
+    std::erase_if(first_points_m, is_outside_overlap);
+    std::erase_if(second_points_m, is_outside_overlap);
     if (!first_points_m.empty() && !second_points_m.empty())
         pairs_.push_back(
             {first_time_s, second_time_s, std::move(first_points_m), std::move(second_points_m)});

@@ -125,15 +125,11 @@ RayTable make_sensor_rays_matching_scan_arrays(const ScanNpzArrays& arrays,
                                                const ScanImageContext& image_context) {
     RayTable rays = make_nominal_rays(image_context.lidar, image_context.time_s);
     if (rays.size() == 0)
-        fail(
-            "{}: the array of ray directions is missing; add it, or set the sensor of the LiDAR in "
-            "sequence.json",
-            arrays.get_error_location());
+        fail("{}: the array of ray directions and the sensor in sequence.json are missing",
+             arrays.get_error_location());
     if (std::size_t(rays.rows) != arrays.rows || std::size_t(rays.columns) != arrays.columns)
-        fail(
-            "{}: the array range has {} x {} values, expected {} x {} values (beams x columns of the sensor "
-            "of the LiDAR), because the array of ray directions is missing",
-            arrays.get_error_location(), arrays.rows, arrays.columns, rays.rows, rays.columns);
+        fail("{}: the array range has {} x {} values, expected {} x {} (beams x columns) or ray directions",
+             arrays.get_error_location(), arrays.rows, arrays.columns, rays.rows, rays.columns);
     return rays;
 }
 

@@ -279,14 +279,12 @@ Scan assign_points_to_rays_of_spinning_scan(const LidarPoints& points, const Spi
     if (sensor.columns < 1 || sensor.beams.size() * std::size_t(sensor.columns) > kMaxRays ||
         sweep_firings.lattice.n_ticks > kMostTicks)
         fail<UsageError>(
-            "cannot make a scan: the sensor has {} beams and {} columns, and its azimuth has {} steps per "
-            "sweep; expected 1 to {} rays (beams times columns) and at most {} azimuth steps",
+            "cannot make a scan: found {} beams, {} columns and {} azimuth steps, expected 1 to {} rays and "
+            "at most {} steps",
             sensor.beams.size(), sensor.columns, sweep_firings.lattice.n_ticks, kMaxRays, kMostTicks);
     if (sweep_firings.firings.empty())
-        fail<UsageError>(
-            "cannot make a scan of {} points: the list of azimuth steps at which the lasers fired is empty, "
-            "expected at least one step",
-            points.size());
+        fail<UsageError>("cannot make a scan of {} points: found no firing, expected at least one",
+                         points.size());
     for (const std::uint32_t firing : points.firing)
         if (firing >= sweep_firings.firings.size())
             fail<UsageError>(

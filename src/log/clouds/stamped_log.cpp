@@ -203,10 +203,8 @@ std::vector<StampedPoseRow> read_timestamped_number_rows(const fs::path& file,
         StampedPoseRow row =
             parse_stamped_row(cells, min_values_per_row, fmt::format("{} line {}", file.string(), l + 1));
         if (cells.size() < n_cells)
-            fail(
-                "{}: found {} cells in the line, expected {} as in the line before; the file may be "
-                "truncated",
-                row.where, cells.size(), n_cells);
+            fail("{}: found {} cells in the line, expected {} as in the line before", row.where, cells.size(),
+                 n_cells);
         n_cells = cells.size();
         if (!rows.empty() && row.stamp == rows.back().stamp) continue;
         if (!rows.empty() && row.stamp < rows.back().stamp)
@@ -300,10 +298,8 @@ std::vector<fs::path> add_frames_and_get_scan_files(LidarSequence& sequence, con
 
 void require_pose_file_or_poses_option(const fs::path& pose_file, const DatasetOptions& options) {
     if (!options.poses_file.empty() || does_path_exist(pose_file)) return;
-    fail(
-        "{}: no such file; expected poses; use dataset.poses=FILE to name another file, or "
-        "dataset.poses=none to estimate the poses from the scans",
-        pose_file.string());
+    fail("{}: no such file; expected poses; use dataset.poses=FILE or dataset.poses=none",
+         pose_file.string());
 }
 
 void read_scans_of_frames(LidarSequence& sequence, const std::vector<fs::path>& scan_files,
@@ -331,7 +327,7 @@ void read_scans_of_frames(LidarSequence& sequence, const std::vector<fs::path>& 
 }
 
 folder::IntensityScale estimate_dataset_intensity_scale(const std::vector<fs::path>& scan_files,
-                                                       const std::vector<std::string>& column_names) {
+                                                        const std::vector<std::string>& column_names) {
     std::vector<folder::PointTable> samples;
     folder::read_samples(scan_files.size(), [&](std::size_t i) {
         samples.push_back(folder::read_point_file(scan_files[i], column_names));

@@ -72,12 +72,11 @@ std::string correct_rays_for_vehicle_motion(LidarSequence& sequence, const PoseL
             moved_m[std::size_t(index)] = move_rays_and_get_max_displacement_m(frame, track);
     });
     const auto n = std::ranges::count_if(moved_m, [](double m) { return m > 0.0; });
-    return n == 0
-               ? ""
-               : fmt::format(
-                     "the ray origins of {0} sweeps are computed from poses between the frames. Compared "
-                     "with a straight path between frames, this moves points at {2:.0f} m by up to {1:.3f} m",
-                     n, std::ranges::max(moved_m), kReach_m);
+    return n == 0 ? ""
+                  : fmt::format(
+                        "the ray origins of {0} sweeps are computed from poses between the frames, which "
+                        "moves points at {2:.0f} m by up to {1:.3f} m",
+                        n, std::ranges::max(moved_m), kReach_m);
 }
 
 }  // namespace relidar::bag

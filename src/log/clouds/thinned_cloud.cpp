@@ -48,12 +48,11 @@ std::string explain_removed_points(const std::vector<LidarPoints>& scans,
     if (filled < kFewFilled)
         return fmt::format(
             "the points fill only {:.0f} % of the rays of {} beams and {} columns, so points were probably "
-            "removed from the cloud",
+            "removed",
             100.0 * filled, fitted_sensor.beams.size(), fitted_sensor.columns);
     if (const double share = compute_fraction_of_regular_azimuth_steps(*fullest); share < kFewRegular)
         return fmt::format(
-            "only {:.0f} % of the azimuth steps between neighbouring points are equal, so points were "
-            "probably removed from the cloud",
+            "only {:.0f} % of the azimuth steps between points are equal, so points were probably removed",
             100.0 * share);
     return "";
 }

@@ -153,8 +153,7 @@ Pose compute_vehicle_from_mulran_lidar() {
 stamped::PointFileFormat make_mulran_point_format(LidarSequence& sequence,
                                                   const std::vector<fs::path>& scan_files) {
     stamped::PointFileFormat format;
-    const folder::IntensityScale brightness =
-        stamped::estimate_dataset_intensity_scale(scan_files, {});
+    const folder::IntensityScale brightness = stamped::estimate_dataset_intensity_scale(scan_files, {});
     format.units.intensity_max = brightness.max;
     if (!brightness.about.empty()) sequence.notes.push_back(brightness.about);
     format.sweep_duration_s = kRevolution_s;
