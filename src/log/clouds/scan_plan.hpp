@@ -44,7 +44,7 @@ struct LidarScanLayout {
 
 /// What a reader knows about the scans of a log.
 struct ScanLayout {
-    std::vector<LidarScanLayout> lidars;
+    std::vector<LidarScanLayout> lidars = {};
     bool motion_compensated = false;
     /// True if the user describes the LiDARs in sequence.json. Points that contradict the
     /// description are then an error.
