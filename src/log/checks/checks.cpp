@@ -31,6 +31,8 @@ constexpr Check kChecks[] = {
     {"array_sizes", test_array_sizes, "frame {}, {}: found {} entries, expected {} x {}", true},
     {"rays", test_rays, "frame {}, ray {}, {}: found {}, expected {} to {}", true},
     {"box_sizes", test_box_sizes, "box '{}': found the size {} x {} x {} m, expected sides above 0 m", true},
+    {"box_times", test_box_times,
+     "box '{}', pose {}: found the time {} s after the time {} s, expected increasing times", true},
     {"box_places", test_box_places,
      "box '{}', pose {}: found a distance of {:.0f} m from the vehicle, expected at most {} m, because boxes "
      "and vehicle poses must be in the same world frame",

@@ -66,7 +66,7 @@ private:
 };
 
 Test test_frames, test_lidar_names, test_frame_numbers, test_frame_times, test_clock_jump, test_poses,
-    test_array_sizes, test_rays, test_box_sizes, test_box_places;
+    test_array_sizes, test_rays, test_box_sizes, test_box_times, test_box_places;
 Test test_time_gaps, test_time_unit, test_speed, test_float_positions, test_few_returns, test_rotation,
     test_equal_intensities, test_dark, test_saturated, test_box_convention;
 

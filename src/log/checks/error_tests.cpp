@@ -125,6 +125,13 @@ void test_box_sizes(const CheckedLog& log, const FaultReport& report) {
             report.add(-1, box.id, size_m.x, size_m.y, size_m.z);
 }
 
+void test_box_times(const CheckedLog& log, const FaultReport& report) {
+    for (const BoxTrack& box : log.sequence.boxes)
+        for (std::size_t k = 1; k < box.world_from_box.time_s.size(); ++k)
+            if (const double* t_s = &box.world_from_box.time_s[k]; !(t_s[0] > t_s[-1]))
+                report.add(-1, box.id, k, t_s[0], t_s[-1]);
+}
+
 void test_box_places(const CheckedLog& log, const FaultReport& report) {
     for (const BoxTrack& box : log.sequence.boxes)
         for (std::size_t k = 0; k < box.world_from_box.pose.size(); ++k) {

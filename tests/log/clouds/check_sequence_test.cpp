@@ -118,6 +118,10 @@ TEST(CheckSequence, NamesFramePoseOrBox) {
          "vehicle, pose 1 ... (nan"},
         {[](LidarSequence& s) { s.world_from_vehicle.pose[1].translation.x = 5e6; }, "5000000 ... 1000000 m"},
         {[](LidarSequence& s) { s.boxes[1].size_m.y = 0.0; }, "box '1' ... 0"},
+        {[](LidarSequence& s) {
+             std::swap(s.boxes[1].world_from_box.time_s[0], s.boxes[1].world_from_box.time_s[1]);
+         },
+         "box '1', pose 1 ... 0 s ... 0.1 s"},
         {[](LidarSequence& s) { s.boxes[1].world_from_box.pose[2].translation.y += 4e5; },
          "box '1', pose 2: ... 100000 m"},
     });
