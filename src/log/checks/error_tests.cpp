@@ -126,10 +126,11 @@ void test_box_sizes(const CheckedLog& log, const FaultReport& report) {
 }
 
 void test_box_times(const CheckedLog& log, const FaultReport& report) {
-    for (const BoxTrack& box : log.sequence.boxes)
-        for (std::size_t k = 1; k < box.world_from_box.time_s.size(); ++k)
-            if (const double* t_s = &box.world_from_box.time_s[k]; !(t_s[0] > t_s[-1]))
-                report.add(-1, box.id, k, t_s[0], t_s[-1]);
+    for (const BoxTrack& box : log.sequence.boxes) {
+        const std::vector<double>& time_s = box.world_from_box.time_s;
+        for (std::size_t k = 1; k < time_s.size(); ++k)
+            if (!(time_s[k] > time_s[k - 1])) report.add(-1, box.id, k, time_s[k], time_s[k - 1]);
+    }
 }
 
 void test_box_places(const CheckedLog& log, const FaultReport& report) {
