@@ -27,13 +27,11 @@ void note_plan(LidarSequence& sequence, const ScanLayout& layout, int lidar_inde
     const auto add = [&](const std::string& text) { add_lidar_note(sequence, lidar_index, text); };
     if (samples.empty()) add("no scan has a point with finite coordinates and a plausible time");
     if (!plan.problem.empty())
-        add(fmt::format(
-            "{}; therefore each point becomes one ray, and dropped rays (rays without return) are "
-            "unknown{}",
-            plan.problem,
-            layout.is_described && !plan.has_rings
-                ? "; set the key \"sensor\" of the LiDAR in sequence.json to define its beams"
-                : ""));
+        add(fmt::format("{}; therefore each point becomes one ray, and rays without return are unknown{}",
+                        plan.problem,
+                        layout.is_described && !plan.has_rings
+                            ? "; set the key \"sensor\" of the LiDAR in sequence.json to define its beams"
+                            : ""));
     else if (plan.is_fitted)
         add(fmt::format("a sensor with {} beams and {} columns was fitted to the points{}{}",
                         plan.sensor.beams.size(), plan.sensor.columns,
@@ -42,11 +40,10 @@ void note_plan(LidarSequence& sequence, const ScanLayout& layout, int lidar_inde
     else if (plan.is_ordered && !plan.has_rings)
         add("the points have no rings; each point is assigned to the beam with the nearest elevation");
     if (plan.is_ordered && !plan.has_times && !layout.motion_compensated)
-        add(
-            fmt::format("the points have no times; relidar computes them from the azimuths and assumes that "
-                        "a sweep takes "
-                        "{:.3g} s and that the LiDAR's head faces forward at the time of the frame",
-                        plan.sensor.period_s));
+        add(fmt::format(
+            "the points have no times; relidar computes them from the azimuths and assumes that a "
+            "sweep takes {:.3g} s and that the head faces forward at the time of the frame",
+            plan.sensor.period_s));
     const double step_s = find_median_frame_step_s(sequence, lidar_index).value_or(INFINITY);
     if (!layout.motion_compensated && step_s <= kMaxFrameStep_s)
         if (const std::string text = describe_implausible_times(samples, step_s); !text.empty()) add(text);
