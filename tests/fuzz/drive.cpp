@@ -91,9 +91,9 @@ void read_texts(const Drive& drive, unsigned options) {
     const PoseTrack track{{0.0, 0.1, 0.2}, std::vector<Pose>(3)};
     attempt_all({[&] { kitti::read_median_sweep_duration_s(drive.folder()); },
                  [&] {
-                     std::string conventions;
+                     LidarSequence sequence;
                      kitti::read_relative_frame_times_s(drive.folder() / "velodyne_points/timestamps.txt",
-                                                        frames, conventions);
+                                                        frames, sequence);
                  },
                  [&] {
                      if (options & kPosesFile) kitti::read_pose_matrices(drive.poses(), frames);

@@ -78,8 +78,7 @@ def converted(messages):
 
 
 def zero_ns(head):
-    text = head["conventions"].split("0 s is ")[1].split()[0]
-    return (int(text.split(".")[0]) - T0 // 10**9) * 10**9 + int(text.split(".")[1]) - T0 % 10**9
+    return head["start_unix_ns"] - T0
 
 
 def check(name, columns, clockwise=True, lost=(), turns=range(N)):

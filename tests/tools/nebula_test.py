@@ -54,8 +54,7 @@ def stamps_of(bag):
 def points_of(log):
     """Returns the columns x y z intensity ring (from below) time."""
     head, rows = json.loads((log / "sequence.json").read_text()), []
-    zero = head["conventions"].split("0 s is ")[1].split()[0]
-    zero = int(zero.split(".")[0]) - BASE + float("0." + zero.split(".")[1])
+    zero = 1e-9 * (head["start_unix_ns"] - BASE * 10**9)
     for frame in head["frames"]:
         scan = np.load(log / frame["scan"])
         for k in ("", "_2"):

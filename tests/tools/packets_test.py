@@ -64,8 +64,7 @@ def messages(packets, type_name, size=30):
 def returns_of(folder, head, dual):
     """Returns (seconds after T0, direction [3], origin [3], range, intensity, ring, number of the
     return) of the first turn, and the image of this turn."""
-    text = head["conventions"].split("0 s is ")[1].split()[0]
-    zero_s = int(text.split(".")[0]) - T0 // 10**9 + float("0." + text.split(".")[1]) - 1e-9 * (T0 % 10**9)
+    zero_s = 1e-9 * (head["start_unix_ns"] - T0)
     scan = np.load(folder / head["frames"][0]["scan"])
     rows = []
     for k in ("", "_2") if dual else ("",):
@@ -667,8 +666,7 @@ def test_recorded_again(data):
 
 def zero_of(head):
     """Returns the seconds from T0 to time 0 of a log."""
-    text = head["conventions"].split("0 s is ")[1].split()[0]
-    return int(text.split(".")[0]) - T0 // 10**9 + float("0." + text.split(".")[1]) - 1e-9 * (T0 % 10**9)
+    return 1e-9 * (head["start_unix_ns"] - T0)
 
 
 def test_others():

@@ -11,13 +11,14 @@
 
 namespace relidar {
 
-/// Returns the sentence of LidarSequence::conventions that contains the date of the log.
+/// Latest date of a log, in the year 2096.
+inline constexpr std::int64_t kLatestLogStart_ns = 4'000'000'000'000'000'000;
+
+/// Sets the date of a log, and appends a sentence about it to `conventions`. Dates before
+/// 1970 or after kLatestLogStart_ns are only in the sentence.
 /// @param unix_ns  nanoseconds since 1970 at time 0 of the log
 /// @param clock  rest of the sentence, for example "on the clock of the recorder"
-std::string format_log_start(std::int64_t unix_ns, const std::string& clock);
-/// Returns the nanoseconds since 1970 at time 0 of a log, from the sentence of
-/// format_log_start(). Returns 0 for a log without a date.
-std::int64_t get_log_start_unix_ns(const LidarSequence& sequence);
+void set_log_start(LidarSequence& sequence, std::int64_t unix_ns, const std::string& clock);
 
 /// Returns the nanoseconds that are added to times of a log in recordings and packets.
 /// All outputs of a run share this value. It is the date of the log. If a stamp would be

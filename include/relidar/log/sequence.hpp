@@ -257,6 +257,7 @@ struct LidarSequence {
     glm::dvec3 world_offset_m{0.0};
     IntensityResponse intensity_response;  ///< of all LiDARs
     std::string conventions;               ///< a single line for users: frames, units, time reference
+    std::int64_t start_unix_ns = 0;        ///< date of time 0: nanoseconds since 1970; 0 if unknown
     Notes notes;
     /// Indices of the test frames in published results on this part of the dataset.
     std::vector<int> test_frames = {};

@@ -11,6 +11,7 @@
 #include <fmt/ranges.h>
 #include <nlohmann/json.hpp>
 
+#include <relidar/log/log_time.hpp>
 #include <relidar/log/sensor_files.hpp>
 #include <relidar/log/sensor_pattern.hpp>
 
@@ -302,7 +303,7 @@ SequenceHeader read_log_description(const fs::path& log_folder, double default_m
     const JsonField root(json, file, "");
     root.require_only_known_members({"format", "version", "relidar", "name", "conventions", "notes", "lidars",
                                      "frames", "rate_hz", "motion_compensated", "columns", "intensity_max",
-                                     "time_unit", "point_times", "world_offset_m"});
+                                     "time_unit", "point_times", "world_offset_m", "start_unix_ns"});
     if (root.at("format").get_string() != kFormat)
         root.at("format").throw_field_error("found another format", fmt::format("expected \"{}\"", kFormat));
     root.at("version").get_integer_in_range(1, kVersion);
@@ -311,6 +312,8 @@ SequenceHeader read_log_description(const fs::path& log_folder, double default_m
     head.conventions =
         read_text_or(root, "conventions", "Sensor frame: x forward, y left, z up, in metres.", kLongestText);
     std::ranges::copy(read_optional_text_list(root, "notes"), std::back_inserter(head.notes));
+    if (root.has_member("start_unix_ns"))
+        head.start_unix_ns = root.at("start_unix_ns").get_integer_in_range(0, kLatestLogStart_ns);
     head.lidars = read_lidars(root, file, log_folder, default_max_range_m);
     if (root.has_member("frames") == root.has_member("rate_hz"))
         root.throw_field_error(root.has_member("frames") ? "found both \"frames\" and \"rate_hz\""

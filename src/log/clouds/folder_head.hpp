@@ -60,6 +60,7 @@ struct SequenceHeaderFrame {
 
 struct SequenceHeader {
     std::string name, conventions;
+    std::int64_t start_unix_ns = 0;
     Notes notes;
     std::vector<SequenceHeaderLidar> lidars;
     std::vector<SequenceHeaderFrame> frames;  ///< all frames of the log, sorted by time and LiDAR

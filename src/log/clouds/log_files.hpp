@@ -46,10 +46,10 @@ std::string describe_mistaken_kitti_folder(const std::filesystem::path& folder,
 /// Returns seconds after the first time in the file. Line i contains the time of frame i.
 /// The line is empty if the frame has no scan. Times can cross midnight.
 /// @throws DataError if a requested frame has no time, or if times do not increase
-/// @param conventions  gets the sentence of format_log_start()
+/// @param sequence  gets the date of the log
 std::vector<double> read_relative_frame_times_s(const std::filesystem::path& time_file,
                                                 const std::vector<int>& frame_numbers,
-                                                std::string& conventions);
+                                                LidarSequence& sequence);
 
 /// Returns the median of the times in timestamps_end.txt minus timestamps_start.txt.
 double read_median_sweep_duration_s(const std::filesystem::path& drive_folder);

@@ -289,8 +289,7 @@ std::vector<fs::path> add_frames_and_get_scan_files(LidarSequence& sequence, con
                         "has no poses near their times",
                         without.size(), without.size() + files.size(), without.front()->number,
                         without.back()->number, log.poses_file.filename().string()));
-    sequence.conventions += " " + format_log_start(log.scans[0].stamp * std::llround(1e9 * log.unit_s),
-                                                   "on the clock of the files");
+    set_log_start(sequence, log.scans[0].stamp * std::llround(1e9 * log.unit_s), "on the clock of the files");
     kitti::replace_vehicle_poses_from_file(sequence, options.poses_file);
     move_world_origin_of_log(sequence);
     return files;

@@ -159,6 +159,7 @@ LidarSequence copy_without_frames(const LidarSequence& sequence) {
             sequence.world_offset_m,
             sequence.intensity_response,
             sequence.conventions,
+            sequence.start_unix_ns,
             sequence.notes,
             sequence.test_frames,
             sequence.has_poses,

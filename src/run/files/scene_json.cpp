@@ -246,6 +246,7 @@ std::string format_scene_json(const TrainedRun& run) {
         {"name", s.name},
         {"source", s.source},
         {"source_conventions", s.conventions},
+        {"start_unix_ns", s.start_unix_ns},
         {"notes", s.notes},
         {"counts",
          {{"frames", s.frames.size()}, {"boxes", s.boxes.size()}, {"surfels", run.scene.surfels.size()}}},
@@ -283,6 +284,8 @@ SceneJsonContents parse_scene_json(const std::string& json_text, const std::stri
     s.name = root.at("name").get_string();
     s.source = root.at("source").get_string();
     s.conventions = root.at("source_conventions").get_string();
+    if (root.has_member("start_unix_ns"))
+        s.start_unix_ns = root.at("start_unix_ns").get_integer_in_range(0, kLatestLogStart_ns);
     for (std::size_t i = 0; i < root.at("notes").size(); ++i)
         s.notes.push_back(root.at("notes").at(i).get_string());
     s.world_offset_m = read_vector(root.at("world_offset_m"), kFarthestWorld_m);

@@ -15,7 +15,6 @@
 #include <relidar/base/error.hpp>
 #include <relidar/base/math.hpp>
 #include <relidar/log/dataset.hpp>
-#include <relidar/log/log_time.hpp>
 #include <relidar/log/packets.hpp>
 #include <relidar/log/sensor_pattern.hpp>
 
@@ -292,7 +291,7 @@ TEST_P(WrittenPackets, GiveTheSameReturnsAgain) {
     const Scan scan = make_known_scan(sensor, returns == 2);
     const LidarSequence log = write_and_load_log(sensor, options, scan);
     ASSERT_EQ(log.frames.size(), 2u);
-    const double start_s = 1e-9 * double(get_log_start_unix_ns(log) - kStart_ns);
+    const double start_s = 1e-9 * double(log.start_unix_ns - kStart_ns);
     const std::vector<double> laser_times_us = find_laser_times_us(name);
     // [ring, nearest firing] of each written return
     const double step_s = sensor.period_s / sensor.columns;
@@ -375,7 +374,7 @@ TEST_P(AlternatingPackets, GiveTheRaysOfTheirLasers) {
     for (std::size_t i = 0; i < scan.range_m.size(); ++i)
         written[{scan.rays.channel[i], find_firing(1.0 + double(scan.rays.time_offset_s[i]))}] = i;
     std::map<std::size_t, std::set<long>> parities;  // [laser] firings, modulo 2
-    const double start_s = 1e-9 * double(get_log_start_unix_ns(log) - kStart_ns);
+    const double start_s = 1e-9 * double(log.start_unix_ns - kStart_ns);
     std::size_t n_matched_returns = 0;
     for (const LidarFrame& frame : log.frames) {
         for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i) {

@@ -26,11 +26,10 @@ double get_yaw(const Pose& pose) {
 }
 
 /// Returns a log of two frames with a sweep of 0.1 s.
-LidarSequence make_log_from(double first_s, const std::string& conventions = "") {
+LidarSequence make_log_from(double first_s) {
     LidarSequence log;
     log.lidars[0].sensor.period_s = 0.1;
     for (const int i : {0, 1}) log.frames.push_back({.index = i, .time_s = first_s + 0.1 * i, .scan = {}});
-    log.conventions = conventions;
     return log;
 }
 
@@ -45,11 +44,13 @@ TEST(LogTime, TheShiftIsTheDateOrTheFewestWholeSeconds) {
     EXPECT_EQ(format_time_shift_note(make_log_from(10.0), 0), "");
     EXPECT_THAT(format_time_shift_note(make_log_from(-1000.0), shift(-1000.0)), test::Names("1001 s later"));
     const std::int64_t start_ns = 1317042145594360375;
-    const LidarSequence dated = make_log_from(-5.0, "x forward. " + format_log_start(start_ns, "on a clock"));
-    EXPECT_EQ(get_log_start_unix_ns(dated), start_ns);
+    LidarSequence dated = make_log_from(-5.0);
+    set_log_start(dated, start_ns, "on a clock");
+    EXPECT_EQ(dated.conventions, " Time 0 s is 1317042145.594360375 s on a clock.");
     EXPECT_EQ(compute_time_shift_ns(dated), start_ns) << "a log with a date keeps it";
     EXPECT_EQ(format_time_shift_note(dated, start_ns), "");
-    const LidarSequence booted = make_log_from(0.0, format_log_start(40'000'000, "after the start"));
+    LidarSequence booted = make_log_from(0.0);
+    booted.start_unix_ns = 40'000'000;
     EXPECT_EQ(compute_time_shift_ns(booted), 40'000'000 + kSecond_ns) << "a clock that starts at 0";
 }
 

@@ -53,6 +53,7 @@ inline TrainedRun make_example_run(const std::filesystem::path& folder) {
     s.name = "example \xC3\xA9";
     s.source = "somewhere";
     s.conventions = "none";
+    s.start_unix_ns = 1317042145594360375;
     s.world_offset_m = {1e6 / 3.0, -5e6 / 7.0, 0.1};
     s.rolling_shutter = false;
     s.lidars[0].sensor = {

@@ -168,6 +168,7 @@ TEST_F(RunFolder, RoundTripsExactly) {
     EXPECT_EQ(a.name, b.name);
     EXPECT_EQ(a.source, b.source);
     EXPECT_EQ(a.conventions, b.conventions);
+    EXPECT_EQ(a.start_unix_ns, b.start_unix_ns);
     EXPECT_EQ(a.world_offset_m, b.world_offset_m);
     EXPECT_EQ(a.rolling_shutter, b.rolling_shutter);
     ASSERT_EQ(a.frames.size(), b.frames.size());
@@ -356,7 +357,7 @@ TEST_F(RunFolder, EveryFieldIsNeeded) {
     const Json scene_json = Json::parse(scene);
     // keys for human readers, members with default values, and edits
     const std::vector<std::string> optional_prefixes = {"/relidar", "/units", "/conventions",
-                                                        "/lidars/0/sensor/spinning/", "/edits"};
+                                                        "/lidars/0/sensor/spinning/", "/edits", "/start_unix_ns"};
     int n_removed_fields = 0;
     const Json flat = scene_json.flatten();
     for (const auto& [pointer, value] : flat.items()) {

@@ -276,8 +276,8 @@ LidarSequence load_argoverse2(const fs::path& log_folder, const DatasetOptions& 
     sequence.conventions =
         "Vehicle frame: x forward, y left, z up, in metres, with the origin at the rear axle. Times are "
         "seconds after the first sweep, from the file names. The world frame is that of the city. The motion "
-        "compensation of the points is removed. Boxes are labelled in all directions. " +
-        format_log_start(all[0].time_ns, "on the clock of the file names");
+        "compensation of the points is removed. Boxes are labelled in all directions.";
+    set_log_start(sequence, all[0].time_ns, "on the clock of the file names");
     sequence.lidars = read_lidars(folder / "calibration" / "egovehicle_SE3_sensor.feather");
     for (Lidar& lidar : sequence.lidars) lidar.sensor.max_range_m = options.max_range_m;
     if (does_path_exist(folder / "annotations.feather"))

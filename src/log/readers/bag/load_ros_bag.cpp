@@ -384,11 +384,11 @@ private:
                 "the recording has no poses; they must be estimated from the scans, like with "
                 "dataset.poses=none");
         sequence_.conventions = fmt::format(
-            "ROS frames: x forward, y left, z up, in metres. {} Frame numbers count the clouds of {} from 0.",
-            format_log_start(poses_.zero_ns, poses_.clock == LogClock::stamps
-                                                 ? "on the clock of the time stamps"
-                                                 : "on the clock of the recorder"),
+            "ROS frames: x forward, y left, z up, in metres. Frame numbers count the clouds of {} from 0.",
             get_topic_name(get_main_cloud_topic()));
+        set_log_start(sequence_, poses_.zero_ns,
+                      poses_.clock == LogClock::stamps ? "on the clock of the time stamps"
+                                                       : "on the clock of the recorder");
         add_boxes_to_sequence();
         move_world_origin_of_log(sequence_);
     }

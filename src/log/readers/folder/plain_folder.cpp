@@ -152,6 +152,7 @@ LidarSequence load_plain_folder(const fs::path& log_folder, const DatasetOptions
     sequence.name = head.name;
     sequence.source = log_folder.string();
     sequence.conventions = head.conventions;
+    sequence.start_unix_ns = head.start_unix_ns;
     sequence.notes = head.notes;
     sequence.lidars.clear();
     for (const folder::SequenceHeaderLidar& lidar : head.lidars) sequence.lidars.push_back(lidar.lidar);

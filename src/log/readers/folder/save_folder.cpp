@@ -60,6 +60,7 @@ std::string make_sequence_json_text(const LidarSequence& sequence) {
                  {"relidar", RELIDAR_VERSION},
                  {"name", sequence.name},
                  {"conventions", sequence.conventions},
+                 {"start_unix_ns", sequence.start_unix_ns},
                  {"notes", notes},
                  {"motion_compensated", !sequence.rolling_shutter},
                  {"world_offset_m", make_json(sequence.world_offset_m)},

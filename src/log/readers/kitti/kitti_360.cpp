@@ -126,7 +126,7 @@ void add_frames_and_boxes(LidarSequence& sequence, const fs::path& dataset_folde
                           const fs::path& user_pose_file) {
     const std::vector<double> time_s = read_relative_frame_times_s(
         dataset_folder / "data_3d_raw" / drive.name / "velodyne_points/timestamps.txt", frame_numbers,
-        sequence.conventions);
+        sequence);
     if (user_pose_file.empty() || does_path_exist(dataset_folder / "data_poses" / drive.name)) {
         add_frames_with_pose(sequence, frame_numbers, time_s,
                              read_lidar_pose_per_frame(dataset_folder, drive.name));

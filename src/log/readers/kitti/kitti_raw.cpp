@@ -20,9 +20,9 @@ using namespace kitti;
 
 PoseTrack read_drive_poses(const fs::path& drive_folder, const std::vector<int>& frame_numbers,
                            const fs::path& user_pose_file, LidarSequence& sequence) {
-    PoseTrack track{read_relative_frame_times_s(drive_folder / "velodyne_points/timestamps.txt",
-                                                frame_numbers, sequence.conventions),
-                    std::vector<Pose>(frame_numbers.size())};
+    PoseTrack track{
+        read_relative_frame_times_s(drive_folder / "velodyne_points/timestamps.txt", frame_numbers, sequence),
+        std::vector<Pose>(frame_numbers.size())};
     if (user_pose_file != kNoPoses)
         track.pose = user_pose_file.empty()
                          ? compute_lidar_poses_from_oxts_files(drive_folder, frame_numbers)

@@ -76,13 +76,12 @@ std::vector<std::optional<std::int64_t>> read_timestamps_ns(const fs::path& file
 
 std::vector<double> read_relative_frame_times_s(const fs::path& time_file,
                                                 const std::vector<int>& frame_numbers,
-                                                std::string& conventions) {
+                                                LidarSequence& sequence) {
     const std::vector<std::optional<std::int64_t>> time_ns = read_timestamps_ns(time_file);
     const std::int64_t first_ns =
         **std::find_if(time_ns.begin(), time_ns.end(), [](const auto& t) { return t.has_value(); });
-    conventions +=
-        " " + format_log_start(
-                  first_ns, "after 1970; the files have no time zone, so their local times are read as UTC");
+    set_log_start(sequence, first_ns,
+                  "after 1970; the files have no time zone, so their local times are read as UTC");
     std::vector<double> time_s;
     for (std::size_t i = 0; i < frame_numbers.size(); ++i) {
         const std::size_t line = static_cast<std::size_t>(frame_numbers[i]);

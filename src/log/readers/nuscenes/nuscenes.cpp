@@ -164,9 +164,9 @@ public:
         sequence_.source = folder_.string();
         sequence_.conventions = fmt::format(
             "Vehicle frame: x forward, y left, z up, in metres. Times are seconds after the first sweep of "
-            "the scene. {} Boxes are interpolated between keyframes. {}",
-            format_log_start(1000 * scene_.lidars[0].sweeps[0].time_us, "on the clock of the dataset"),
+            "the scene. Boxes are interpolated between keyframes. {}",
             format_.conventions);
+        set_log_start(sequence_, 1000 * scene_.lidars[0].sweeps[0].time_us, "on the clock of the dataset");
         select_requested_lidars();
         select_sweeps_of_requested_frames();
         // All sweeps of a frame get the time of the first LiDAR's sweep.

@@ -335,7 +335,7 @@ void add_lidars_frames_and_boxes(LidarSequence& sequence, const TfRecordReader& 
              only_top_lidar ? " of the LiDAR TOP" : "");
     const std::int64_t start_us =
         parse_frame_record(records.read_record_data(0), format_record_location(records, 0)).timestamp_us;
-    sequence.conventions += " " + format_log_start(1000 * start_us, "on the clock of the dataset");
+    set_log_start(sequence, 1000 * start_us, "on the clock of the dataset");
     std::vector<BoxLabel> labels;
     for (std::size_t i = 0; i < frame_headers.size(); ++i) {
         // The time stamp is the start of the sweep, when the head faces backward. The

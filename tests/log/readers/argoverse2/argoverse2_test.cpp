@@ -11,7 +11,6 @@
 #include <gtest/gtest.h>
 
 #include <relidar/base/error.hpp>
-#include <relidar/log/log_time.hpp>
 #include "log/readers/argoverse2/argoverse2_log.hpp"
 #include "log/readers/kitti/kitti_drive.hpp"
 #include "support/names.hpp"
@@ -133,7 +132,7 @@ TEST(Argoverse2, TimesPosesAndBoxes) {
     const Argoverse2Log log("boxes");
     const LidarSequence sequence = load_sequence(log.folder.string(), {});
     ASSERT_EQ(sequence.world_from_vehicle.time_s.size(), 3u);
-    EXPECT_EQ(get_log_start_unix_ns(sequence), Argoverse2Log::kFirstSweep_ns);
+    EXPECT_EQ(sequence.start_unix_ns, Argoverse2Log::kFirstSweep_ns);
     for (std::size_t i = 0; i < 3; ++i) {
         const double time_s = double(i) * 0.100252;
         EXPECT_NEAR(sequence.world_from_vehicle.time_s[i], time_s, 1e-9);

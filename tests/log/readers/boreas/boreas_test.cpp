@@ -2,7 +2,6 @@
 // Reads a simulated Boreas sequence and compares it with the exact rays. Also checks the
 // errors for invalid files.
 #include <relidar/log/dataset.hpp>
-#include <relidar/log/log_time.hpp>
 
 #include <cmath>
 #include <functional>
@@ -54,7 +53,7 @@ TEST(Boreas, EveryReturnIsWhereItWasMeasured) {
     const LidarSequence sequence = load_sequence(data.folder.string(), {});
     EXPECT_EQ(sequence.name, "boreas-2020-11-26-13-58");
     EXPECT_THAT(sequence.conventions, test::Names("-42.60 degrees"));
-    EXPECT_EQ(get_log_start_unix_ns(sequence), 1000 * BoreasFolder::stamp(0));
+    EXPECT_EQ(sequence.start_unix_ns, 1000 * BoreasFolder::stamp(0));
     EXPECT_THAT(sequence.notes, testing::ElementsAre(test::Names("labels"),
                                                      test::Names("128 beams and 360 columns ... fitted"),
                                                      test::Names("intensities ... 0.2")));

@@ -11,7 +11,6 @@
 #include <gtest/gtest.h>
 
 #include <relidar/base/error.hpp>
-#include <relidar/log/log_time.hpp>
 #include "log/readers/kitti/kitti_360_folder.hpp"
 #include "support/names.hpp"
 
@@ -110,7 +109,7 @@ TEST(Kitti360, DrivesAndPartsHaveNames) {
     LidarSequence log = read(kitti, options);
     ASSERT_EQ(log.frames.size(), 2u);
     EXPECT_EQ(log.frames[0].index, 2351);
-    EXPECT_EQ(get_log_start_unix_ns(log), 1369730760904000000) << "2013-05-28 08:46:00.904";
+    EXPECT_EQ(log.start_unix_ns, 1369730760904000000) << "2013-05-28 08:46:00.904";
     EXPECT_EQ(log.test_frames, (std::vector<int>{2360, 2370, 2380, 2390}));
     options.frames = {2352, -1};
     EXPECT_EQ(read(kitti, options).frames.size(), 1u);

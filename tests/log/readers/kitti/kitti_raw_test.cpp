@@ -18,7 +18,6 @@
 #include <gmock/gmock.h>
 
 #include <relidar/base/error.hpp>
-#include <relidar/log/log_time.hpp>
 #include "log/readers/kitti/kitti_drive.hpp"
 #include "support/names.hpp"
 
@@ -110,7 +109,7 @@ TEST(KittiRaw, PosesTimesAndBoxes) {
     const LidarSequence log = load_sequence(drive.folder.string(), {});
     ASSERT_EQ(log.frames.size(), 3u);
     EXPECT_NEAR(log.frames[2].time_s, 0.2, 1e-9);  // across midnight and New Year
-    EXPECT_EQ(get_log_start_unix_ns(log), 1325375999850000000) << "2011-12-31 23:59:59.85";
+    EXPECT_EQ(log.start_unix_ns, 1325375999850000000) << "2011-12-31 23:59:59.85";
     EXPECT_THAT(log.conventions, testing::HasSubstr("no time zone"));
     // Distance of a step in Mercator coordinates: s R dlon with s = cos 60. The sensor
     // does not move on the car.
@@ -226,7 +225,7 @@ TEST(KittiRaw, TimesAreCountedFromTheFirstLineThatHasOne) {
     const LidarSequence log = load_sequence(drive.folder.string(), {});
     EXPECT_NEAR(log.frames[0].time_s, 0.0, 1e-9);
     EXPECT_NEAR(log.frames[1].time_s, 0.1, 1e-9);
-    EXPECT_EQ(get_log_start_unix_ns(log), 1325375999950000000);
+    EXPECT_EQ(log.start_unix_ns, 1325375999950000000);
 }
 
 TEST(KittiRaw, CalibrationBesideAboveOrInItsArchive) {

@@ -2,7 +2,6 @@
 // Reads simulated MulRan sequences with both orders of points and compares them with the
 // exact rays. Also checks the errors for invalid files.
 #include <relidar/log/dataset.hpp>
-#include <relidar/log/log_time.hpp>
 
 #include <cmath>
 
@@ -53,7 +52,7 @@ TEST(Mulran, EveryReturnIsWhereItWasMeasured) {
     EXPECT_EQ(detect_dataset_kind(data.folder), "mulran");
     const LidarSequence sequence = load_sequence(data.folder.string(), {});
     EXPECT_EQ(sequence.name, "MulRan KAIST01");
-    EXPECT_EQ(get_log_start_unix_ns(sequence), MulranFolder::stamp(0)) << "of the skipped scan";
+    EXPECT_EQ(sequence.start_unix_ns, MulranFolder::stamp(0)) << "of the skipped scan";
     ASSERT_EQ(sequence.frames.size(), 3u);
     EXPECT_EQ(sequence.frames[0].index, 1);
     EXPECT_THAT(sequence.notes, testing::Contains(test::Names(

@@ -11,7 +11,6 @@
 #include <gtest/gtest.h>
 
 #include <relidar/base/error.hpp>
-#include <relidar/log/log_time.hpp>
 #include "log/readers/kitti/kitti_drive.hpp"
 #include "log/readers/nuscenes/nuscenes_folder.hpp"
 #include "support/names.hpp"
@@ -165,7 +164,7 @@ TEST(Nuscenes, TablesOfT4) {
 TEST(Nuscenes, TimesPosesAndBoxesBetweenKeyframes) {
     const NuscenesFolder data("boxes", 40);
     const LidarSequence actual = load(data);
-    EXPECT_EQ(get_log_start_unix_ns(actual), 1533151603547590000);
+    EXPECT_EQ(actual.start_unix_ns, 1533151603547590000);
     for (std::size_t i = 0; i < actual.frames.size(); ++i) {
         EXPECT_NEAR(actual.frames[i].time_s, double(i) * NuscenesFolder::kSweep_s, 1e-9);
         const Pose truth = NuscenesFolder::compute_vehicle_pose(actual.frames[i].time_s),

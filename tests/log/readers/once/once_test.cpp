@@ -2,7 +2,6 @@
 // Reads simulated ONCE sequences with quaternions in both orders and compares them with
 // the exact rays. Also checks the errors for invalid files.
 #include <relidar/log/dataset.hpp>
-#include <relidar/log/log_time.hpp>
 
 #include <cmath>
 #include <cstring>
@@ -50,7 +49,7 @@ TEST(Once, EveryReturnIsOnTheYard) {
     const OnceFolder data("000076");
     EXPECT_EQ(detect_dataset_kind(data.folder), "once");
     const LidarSequence sequence = load_sequence(data.folder.string(), {});
-    EXPECT_EQ(get_log_start_unix_ns(sequence), 1000000 * OnceFolder::stamp(0));
+    EXPECT_EQ(sequence.start_unix_ns, 1000000 * OnceFolder::stamp(0));
     EXPECT_EQ(sequence.name, "ONCE 000076");
     ASSERT_EQ(sequence.frames.size(), std::size_t(OnceFolder::kScans));
     EXPECT_THAT(sequence.notes, testing::Contains(test::Names("1 boxes in 1 labelled ... track")));

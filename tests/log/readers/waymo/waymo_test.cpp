@@ -11,7 +11,6 @@
 #include <gtest/gtest.h>
 
 #include <relidar/base/error.hpp>
-#include <relidar/log/log_time.hpp>
 #include "base/codecs/tfrecord.hpp"
 #include "log/readers/kitti/kitti_drive.hpp"
 #include "log/readers/waymo/waymo_segment.hpp"
@@ -173,7 +172,7 @@ TEST(Waymo, SegmentsFramesAndPoses) {
     options.sequence = "9";
     const LidarSequence one = load_sequence(segment.folder.string(), options);
     EXPECT_EQ(one.name, "segment-9");
-    EXPECT_EQ(get_log_start_unix_ns(one), 1000 * WaymoSegment::kStart_us);
+    EXPECT_EQ(one.start_unix_ns, 1000 * WaymoSegment::kStart_us);
     ASSERT_EQ(one.frames.size(), 2u);
     EXPECT_EQ(one.frames[0].index, 1);
     EXPECT_NEAR(one.frames[0].time_s, 0.15, 1e-9) << "counted from the segment's first firing";
