@@ -44,14 +44,14 @@ struct WaymoOptions {
 struct DatasetOptions {
     /// Name of the drive to read if the dataset has several drives. If the name is empty,
     /// the first drive is read.
-    std::string sequence;
-    FrameRange frames;
+    std::string sequence = {};
+    FrameRange frames = {};
     /// Text file with poses world_from_vehicle. Line i holds the 3 x 4 matrix of frame i,
     /// row by row. Alternatively, each line holds a time, a position, and a quaternion or
     /// three angles; these poses are interpolated (docs/datasets.md). If the path is
     /// empty, the poses of the dataset are used. The value kNoPoses means that no poses
     /// are read.
-    std::filesystem::path poses_file;
+    std::filesystem::path poses_file = {};
     /// True: frames without a scan are skipped. False: a missing scan is an error.
     bool allow_missing_scans = true;
     /// True: the reader skips scans that it cannot read, and adds a note to the log for

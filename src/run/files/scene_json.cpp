@@ -12,6 +12,7 @@
 #include <nlohmann/json.hpp>
 
 #include <relidar/base/error.hpp>
+#include <relidar/log/log_time.hpp>
 #include <relidar/log/sensor_pattern.hpp>
 #include "base/json_field.hpp"
 

@@ -89,28 +89,8 @@ std::size_t StampedDrive::count_returns(int scan) const {
     return std::size_t(std::ranges::count_if(rays[std::size_t(scan)], &StampedRay::returned));
 }
 
-StampedFolder::StampedFolder(const std::string& dataset, const std::string& name)
-    : folder(fs::path(testing::TempDir()) / ("relidar_" + dataset) / name) {
-    std::error_code failed;
-    fs::remove_all(folder, failed);
-}
-
-void StampedFolder::expect_error(const std::string& part, const DatasetOptions& options) const {
-    try {
-        load_sequence(kind + folder.string(), options);
-        ADD_FAILURE() << "no failure, expected " << part;
-    } catch (const Error& error) {
-        EXPECT_THAT(error.what(), test::Names(part));
-    }
-}
-
-StampedFolder::~StampedFolder() {
-    std::error_code failed;
-    fs::remove_all(folder, failed);
-}
-
 BoreasFolder::BoreasFolder(const std::string& name, int angles, int columns)
-    : StampedFolder("boreas", "boreas-" + name) {
+    : StampedFolder("relidar_boreas/boreas-" + name) {
     drive.pitch_rad = 0.02;
     drive.roll_rad = -0.015;
     drive.start_m = {-3.0, -4.0, 0.9};
@@ -148,7 +128,8 @@ BoreasFolder::BoreasFolder(const std::string& name, int angles, int columns)
                format_matrix(applanix_from_vehicle * drive.vehicle_from_lidar, " ") + "\n0 0 0 1\n");
 }
 
-MulranFolder::MulranFolder(const std::string& name, bool by_column) : StampedFolder("mulran", name) {
+MulranFolder::MulranFolder(const std::string& name, bool by_column)
+    : StampedFolder("relidar_mulran/" + name) {
     kind = "mulran:";
     drive.start_m = {-3.0, -4.0, -0.35};
     drive.world_m = {353012.5, 4026107.25, 21.0};
@@ -177,7 +158,8 @@ MulranFolder::MulranFolder(const std::string& name, bool by_column) : StampedFol
     write_text(poses(), lines);
 }
 
-OnceFolder::OnceFolder(const std::string& name, bool w_first, int columns) : StampedFolder("once", name) {
+OnceFolder::OnceFolder(const std::string& name, bool w_first, int columns)
+    : StampedFolder("relidar_once/" + name) {
     drive.rate_rad_s = 0.1;
     drive.start_m = {-12.0, -6.0, 1.45};
     // x axis to the left, y axis backward

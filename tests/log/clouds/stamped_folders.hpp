@@ -12,6 +12,7 @@
 #include <relidar/base/math.hpp>
 #include <relidar/log/dataset.hpp>
 #include <relidar/log/sensor.hpp>
+#include "support/logs.hpp"
 
 namespace relidar::test {
 
@@ -46,20 +47,10 @@ struct StampedDrive {
     std::size_t count_returns(int scan) const;
 };
 
-/// A temporary folder that is deleted with this object.
-struct StampedFolder {
-    std::filesystem::path folder;
-    /// Prefix such as "mulran:" that selects the reader even if files are missing. If it
-    /// is empty, the reader is detected automatically.
-    std::string kind = "";
+struct StampedFolder : LogFolder {
     StampedDrive drive;
 
-    StampedFolder(const std::string& dataset, const std::string& name);
-    /// Checks that reading fails with a message that contains `part`.
-    void expect_error(const std::string& part, const DatasetOptions& options = {}) const;
-    ~StampedFolder();
-    StampedFolder(const StampedFolder&) = delete;
-    StampedFolder& operator=(const StampedFolder&) = delete;
+    using LogFolder::LogFolder;
 };
 
 /// Boreas sequence with 128 beams. The laser numbers are not sorted by elevation. The

@@ -4,7 +4,6 @@
 #include <relidar/log/dataset.hpp>
 
 #include <cmath>
-#include <filesystem>
 
 #include <fmt/format.h>
 #include <gmock/gmock.h>
@@ -29,15 +28,13 @@ constexpr double kElevation_deg[] = {5.0, -5.0};
 /// also has a return at 149.25 m and a return at 0.4 m.
 class RangeLimit : public testing::Test {
 protected:
-    const std::filesystem::path folder = std::filesystem::path(testing::TempDir()) / "relidar_range_limit";
+    const test::LogFolder files{"relidar_range_limit"};
 
     void SetUp() override {
-        std::filesystem::remove_all(folder);
         for (int i = 0; i < kScans; ++i)
-            test::write_text(folder / fmt::format("scans/{}.bin", i), test::bin(wall(i)));
-        test::write_text(folder / "poses.txt", "1 0 0 0 0 1 0 0 0 0 1 0\n1 0 0 1 0 1 0 0 0 0 1 0\n");
+            test::write_text(files.folder / fmt::format("scans/{}.bin", i), test::bin(wall(i)));
+        test::write_text(files.folder / "poses.txt", "1 0 0 0 0 1 0 0 0 0 1 0\n1 0 0 1 0 1 0 0 0 0 1 0\n");
     }
-    void TearDown() override { std::filesystem::remove_all(folder); }
 
     static test::FilePoints wall(int scan) {
         test::FilePoints points;
@@ -56,21 +53,17 @@ protected:
             }
         return points;
     }
-    static DatasetOptions make_options_without_limit() {
-        DatasetOptions options;
-        options.max_range_m = INFINITY;
-        return options;
-    }
     /// Loads the log with a sensor whose beam table has additional columns. By default,
     /// the limits are those of the sensor, as in the presets of the program.
     LidarSequence load(const std::string& names, const std::string& values,
-                       const DatasetOptions& options = make_options_without_limit()) const {
-        test::write_text(folder / "beams.csv", fmt::format("elevation_deg{0}\n5{1}\n-5{1}\n", names, values));
-        test::write_text(folder / "sequence.json",
+                       const DatasetOptions& options = {.max_range_m = INFINITY}) const {
+        test::write_text(files.folder / "beams.csv",
+                         fmt::format("elevation_deg{0}\n5{1}\n-5{1}\n", names, values));
+        test::write_text(files.folder / "sequence.json",
                          fmt::format(R"({{"format": "relidar log", "version": 1, "rate_hz": 10,
             "columns": ["x", "y", "z", "intensity", "ring"], "lidars": [{{"sensor": "beams.csv:{}x10"}}]}})",
                                      kColumns));
-        return load_sequence(folder.string(), options);
+        return files.load(options);
     }
     static std::size_t count_returns(const LidarSequence& log) {
         std::size_t n = 0;
@@ -100,18 +93,12 @@ TEST_F(RangeLimit, OfATableCountsTheReturnsThatItExcludes) {
 }
 
 TEST_F(RangeLimit, OfTheUserCountsTheReturnsThatItExcludes) {
-    DatasetOptions options;
-    options.max_range_m = 30.0;
-    EXPECT_THAT(load("", "", options).notes,
+    EXPECT_THAT(load("", "", {.max_range_m = 30.0}).notes,
                 Contains(Names("2 of 144 returns (1.39 %) ... dropped ... 2 returns are beyond 30 m")));
-    options.min_range_m = 1.0;
-    options.max_range_m = 10.0;
-    EXPECT_THAT([&] { load("", "", options); },
+    EXPECT_THAT([&] { load("", "", {.max_range_m = 10.0, .min_range_m = 1.0}); },
                 ThrowsMessage<DataError>(Names("144 returns ... range limits")));
     // The minimum of the user is above the maximum of the sensor.
-    options = make_options_without_limit();
-    options.min_range_m = 50.0;
-    EXPECT_THAT([&] { load(",max_range_m", ",10", options); },
+    EXPECT_THAT([&] { load(",max_range_m", ",10", {.max_range_m = INFINITY, .min_range_m = 50.0}); },
                 ThrowsMessage<UsageError>(Names("minimum is 50 m ... maximum is 10 m")));
 }
 

@@ -119,21 +119,19 @@ std::string make_annotation_bytes(int sweeps, FeatherCodec codec) {
 
 }  // namespace
 
-std::vector<FeatherColumn> make_pose_columns(const std::vector<Pose>& poses) {
-    std::array<std::vector<double>, 7> values;
-    for (const Pose& p : poses) {
-        const double row[7] = {p.rotation.w,    p.rotation.x,    p.rotation.y,   p.rotation.z,
-                               p.translation.x, p.translation.y, p.translation.z};
-        for (std::size_t i = 0; i < 7; ++i) values[i].push_back(row[i]);
-    }
-    const char* names[7] = {"qw", "qx", "qy", "qz", "tx_m", "ty_m", "tz_m"};
-    std::vector<FeatherColumn> columns;
-    for (std::size_t i = 0; i < 7; ++i) columns.push_back(make_numbers(names[i], values[i]));
-    return columns;
-}
-
 std::vector<FeatherColumn> set_poses(std::vector<FeatherColumn> columns, const std::vector<Pose>& poses) {
-    for (FeatherColumn& column : make_pose_columns(poses)) columns.push_back(std::move(column));
+    const auto add = [&](const char* name, const auto& value_of) {
+        std::vector<double> values;
+        for (const Pose& pose : poses) values.push_back(value_of(pose));
+        columns.push_back(make_numbers(name, values));
+    };
+    add("qw", [](const Pose& p) { return p.rotation.w; });
+    add("qx", [](const Pose& p) { return p.rotation.x; });
+    add("qy", [](const Pose& p) { return p.rotation.y; });
+    add("qz", [](const Pose& p) { return p.rotation.z; });
+    add("tx_m", [](const Pose& p) { return p.translation.x; });
+    add("ty_m", [](const Pose& p) { return p.translation.y; });
+    add("tz_m", [](const Pose& p) { return p.translation.z; });
     return columns;
 }
 
@@ -151,7 +149,7 @@ fs::path Argoverse2Log::sweep(int number) const {
 }
 
 Argoverse2Log::Argoverse2Log(const std::string& name, const Argoverse2Options& options)
-    : folder(fs::path(testing::TempDir()) / ("relidar_argoverse2_" + name)) {
+    : LogFolder("relidar_argoverse2_" + name) {
     vehicle_from_lidar = {Pose{glm::dquat(1, 0, 0, 0), {1.3626, 0.0006, 1.6406}},
                           Pose{glm::normalize(glm::dquat(0.000639, 0.9944968, -0.1047668, 0.0000928)),
                                {1.37536, 0.00165, 1.52427}}};
@@ -179,11 +177,6 @@ Argoverse2Log::Argoverse2Log(const std::string& name, const Argoverse2Options& o
                 fire(vehicle_from_lidar[std::size_t(lidar)], lidar, options, sweep_s, points);
         write_text(sweep(i), make_sweep_bytes(points, options));
     }
-}
-
-Argoverse2Log::~Argoverse2Log() {
-    std::error_code failed;
-    fs::remove_all(folder, failed);
 }
 
 }  // namespace relidar::test

@@ -11,12 +11,11 @@
 
 #include <relidar/base/math.hpp>
 #include "base/codecs/feather_writer.hpp"
+#include "support/logs.hpp"
 
 namespace relidar::test {
 
-/// Returns quaternion and translation columns of a pose table.
-std::vector<FeatherColumn> make_pose_columns(const std::vector<Pose>& poses);
-/// Appends the columns of poses to the given columns.
+/// Appends the quaternion and translation columns of poses to the given columns.
 std::vector<FeatherColumn> set_poses(std::vector<FeatherColumn> columns, const std::vector<Pose>& poses);
 
 struct Argoverse2Options {
@@ -39,18 +38,14 @@ struct Argoverse2Ray {
     bool returned = false;
 };
 
-struct Argoverse2Log {
+struct Argoverse2Log : LogFolder {
     static constexpr std::int64_t kFirstSweep_ns = 315966265259836000;
 
-    std::filesystem::path folder;
     std::array<Pose, 2> vehicle_from_lidar;                       ///< up, down
     std::vector<std::array<std::vector<Argoverse2Ray>, 2>> rays;  ///< [sweep][up, down] all fired rays
 
     /// Writes a log to a new temporary folder.
     explicit Argoverse2Log(const std::string& name, const Argoverse2Options& options = {});
-    ~Argoverse2Log();
-    Argoverse2Log(const Argoverse2Log&) = delete;
-    Argoverse2Log& operator=(const Argoverse2Log&) = delete;
 
     static std::int64_t sweep_ns(int sweep) { return kFirstSweep_ns + sweep * 100'252'000; }
     std::filesystem::path sweep(int number) const;

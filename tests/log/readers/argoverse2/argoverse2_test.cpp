@@ -5,7 +5,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <functional>
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -23,11 +22,7 @@ using test::Argoverse2Log;
 using test::Argoverse2Options;
 using test::Argoverse2Ray;
 
-DatasetOptions make_far_options() {
-    DatasetOptions options;
-    options.max_range_m = 200.0;
-    return options;
-}
+const DatasetOptions kFar{.max_range_m = 200.0};
 
 /// Looks up the exact ray by beam and time. The beam is identified by its elevation, the
 /// firing by a time within half the interval between two pairs.
@@ -67,7 +62,7 @@ constexpr double kNearest_m = 4.7;
 TEST(Argoverse2, EveryRayIsWhereItWasFired) {
     const Argoverse2Log log("rays");
     EXPECT_EQ(detect_dataset_kind(log.folder), "argoverse2");
-    const LidarSequence sequence = load_sequence(log.folder.string(), make_far_options());
+    const LidarSequence sequence = log.load(kFar);
     ASSERT_EQ(sequence.frames.size(), 6u);
     ASSERT_EQ(sequence.lidars.size(), 2u);
     EXPECT_EQ(sequence.lidars[0].name, "up_lidar");
@@ -112,7 +107,7 @@ TEST(Argoverse2, EveryRayIsWhereItWasFired) {
 /// objects must still be placed at the times of their rays.
 TEST(Argoverse2, HeadsFaceThingsWhenTheirRaysWereFired) {
     const Argoverse2Log log("facing");
-    const LidarSequence sequence = load_sequence(log.folder.string(), make_far_options());
+    const LidarSequence sequence = log.load(kFar);
     for (const LidarFrame& frame : sequence.frames) {
         ASSERT_TRUE(frame.start.has_value());
         std::size_t late = 0;
@@ -130,18 +125,14 @@ TEST(Argoverse2, HeadsFaceThingsWhenTheirRaysWereFired) {
 
 TEST(Argoverse2, TimesPosesAndBoxes) {
     const Argoverse2Log log("boxes");
-    const LidarSequence sequence = load_sequence(log.folder.string(), {});
+    const LidarSequence sequence = log.load();
     ASSERT_EQ(sequence.world_from_vehicle.time_s.size(), 3u);
     EXPECT_EQ(sequence.start_unix_ns, Argoverse2Log::kFirstSweep_ns);
     for (std::size_t i = 0; i < 3; ++i) {
         const double time_s = double(i) * 0.100252;
         EXPECT_NEAR(sequence.world_from_vehicle.time_s[i], time_s, 1e-9);
-        const Pose& pose = sequence.world_from_vehicle.pose[i];
-        EXPECT_LT(glm::distance(pose.translation + sequence.world_offset_m,
-                                Argoverse2Log::compute_vehicle_pose(time_s).translation),
-                  1e-8);
-        EXPECT_NEAR(std::abs(glm::dot(pose.rotation, Argoverse2Log::compute_vehicle_pose(time_s).rotation)),
-                    1.0, 1e-12);
+        test::expect_pose(sequence, sequence.world_from_vehicle.pose[i],
+                          Argoverse2Log::compute_vehicle_pose(time_s));
     }
     ASSERT_EQ(sequence.boxes.size(), 1u);
     const BoxTrack& box = sequence.boxes[0];
@@ -149,20 +140,16 @@ TEST(Argoverse2, TimesPosesAndBoxes) {
     EXPECT_EQ(box.category, "REGULAR_VEHICLE");
     EXPECT_EQ(box.size_m, glm::dvec3(4.5, 1.9, 1.6));
     ASSERT_EQ(box.world_from_box.pose.size(), 3u);
-    for (std::size_t i = 0; i < 3; ++i) {
-        const Pose truth = Argoverse2Log::compute_box_pose(box.world_from_box.time_s[i]);
-        EXPECT_LT(glm::distance(box.world_from_box.pose[i].translation + sequence.world_offset_m,
-                                truth.translation),
-                  1e-8);
-        EXPECT_NEAR(std::abs(glm::dot(box.world_from_box.pose[i].rotation, truth.rotation)), 1.0, 1e-12);
-    }
+    for (std::size_t i = 0; i < 3; ++i)
+        test::expect_pose(sequence, box.world_from_box.pose[i],
+                          Argoverse2Log::compute_box_pose(box.world_from_box.time_s[i]));
 }
 
 /// Half precision rounds a coordinate by up to 2^-11 of its value. Points must not move
 /// farther than this rounding.
 TEST(Argoverse2, HalfPrecisionMovesPointsByItsRounding) {
     const Argoverse2Log log("half", {.half_precision = true, .sweeps = 2, .codec = test::FeatherCodec::zstd});
-    const LidarSequence sequence = load_sequence(log.folder.string(), make_far_options());
+    const LidarSequence sequence = log.load(kFar);
     double worst = 0.0;
     for (const LidarFrame& frame : sequence.frames) {
         const TrueRays truth(log.rays[std::size_t(frame.index)][std::size_t(frame.lidar)],
@@ -191,7 +178,7 @@ TEST(Argoverse2, HalfPrecisionMovesPointsByItsRounding) {
 TEST(Argoverse2, PointsTellWhichHalfIsUp) {
     const Argoverse2Log log("halves",
                             {.lower_half_up = true, .sweeps = 2, .codec = test::FeatherCodec::none});
-    const LidarSequence sequence = load_sequence(log.folder.string(), make_far_options());
+    const LidarSequence sequence = log.load(kFar);
     for (const LidarFrame& frame : sequence.frames) {
         const std::vector<Argoverse2Ray>& rays = log.rays[std::size_t(frame.index)][std::size_t(frame.lidar)];
         EXPECT_EQ(frame.scan.count_returns(),
@@ -208,64 +195,45 @@ TEST(Argoverse2, PointsTellWhichHalfIsUp) {
 TEST(Argoverse2, FrameRangePosesAndNoLabels) {
     const Argoverse2Log log("range");
     fs::remove(log.file("annotations.feather"));
-    DatasetOptions options;
-    options.frames = {1, 3};
-    LidarSequence sequence = load_sequence(log.folder.string(), options);
+    const LidarSequence sequence = log.load({.frames = {1, 3}});
     ASSERT_EQ(sequence.frames.size(), 4u);
     EXPECT_EQ(sequence.frames[0].index, 1);
     EXPECT_NEAR(sequence.frames[0].time_s, 0.100252, 1e-9);
     EXPECT_TRUE(sequence.boxes.empty());
     EXPECT_THAT(sequence.notes, testing::Contains(test::Names("annotations.feather ... missing")));
-    options.poses_file = log.file("poses.txt");
-    test::write_text(options.poses_file,
+    test::write_text(log.file("poses.txt"),
                      "1 0 0 0 0 1 0 0 0 0 1 0\n1 0 0 5 0 1 0 0 0 0 1 0\n1 0 0 6 0 1 0 0 0 0 1 0\n");
-    sequence = load_sequence(log.folder.string(), options);
-    EXPECT_EQ(sequence.world_offset_m, glm::dvec3(6, 0, 0));
-    options.poses_file = kNoPoses;
-    EXPECT_EQ(load_sequence(log.folder.string(), options).world_from_vehicle.pose[1].translation,
-              glm::dvec3(0, 0, 0));
-    options.frames = {3, -1};
-    EXPECT_THROW(load_sequence(log.folder.string(), options), UsageError);
+    EXPECT_EQ(log.load({.frames = {1, 3}, .poses_file = log.file("poses.txt")}).world_offset_m,
+              glm::dvec3(6, 0, 0));
+    EXPECT_EQ(log.load({.poses_file = kNoPoses}).world_from_vehicle.pose[1].translation, glm::dvec3(0, 0, 0));
+    EXPECT_THROW(log.load({.frames = {3, -1}}), UsageError);
+}
+
+/// Returns the file of a sweep with a single point.
+std::string make_point_bytes(float x, std::uint8_t laser, std::int32_t offset_ns) {
+    return test::make_feather_bytes({test::make_numbers("x", std::vector{x}),
+                                     test::make_numbers("y", std::vector{1.0f}),
+                                     test::make_numbers("z", std::vector{1.0f}),
+                                     test::make_numbers("intensity", std::vector<std::uint8_t>{1}),
+                                     test::make_numbers("laser_number", std::vector{laser}),
+                                     test::make_numbers("offset_ns", std::vector{offset_ns})});
 }
 
 TEST(Argoverse2, ASweepMayLackALidar) {
     const Argoverse2Log log("lacking");
-    test::write_text(
-        log.sweep(1),
-        test::make_feather_bytes({test::make_numbers("x", std::vector<float>{8.0f}),
-                                  test::make_numbers("y", std::vector<float>{1.0f}),
-                                  test::make_numbers("z", std::vector<float>{2.0f}),
-                                  test::make_numbers("intensity", std::vector<std::uint8_t>{1}),
-                                  test::make_numbers("laser_number", std::vector<std::uint8_t>{40}),
-                                  test::make_numbers("offset_ns", std::vector<std::int32_t>{5000000})}));
-    const LidarSequence sequence = load_sequence(log.folder.string(), {});
+    test::write_text(log.sweep(1), make_point_bytes(8.0f, 40, 5000000));
+    const LidarSequence sequence = log.load();
     ASSERT_EQ(sequence.frames.size(), 5u);
     EXPECT_EQ(sequence.frames[2].lidar, 1);
     EXPECT_THAT(sequence.notes, testing::Contains(test::Names("1 frames ... skipped")));
-}
-
-/// Loads the log with a replaced file and checks that the error message has a single line
-/// and contains `part`.
-void expect_refused(const Argoverse2Log& log, const fs::path& file, const std::string& bytes,
-                    const std::string& part) {
-    const std::string good = test::read_text(file);
-    test::write_text(file, bytes);
-    try {
-        load_sequence(log.folder.string(), {});
-        ADD_FAILURE() << "no failure, expected " << part;
-    } catch (const DataError& error) {
-        EXPECT_THAT(error.what(), test::Names(part));
-        EXPECT_THAT(error.what(), test::Names(file.filename().string()));
-        EXPECT_EQ(std::string(error.what()).find('\n'), std::string::npos);
-    }
-    test::write_text(file, good);
 }
 
 TEST(Argoverse2, SaysWhichFileIsWrong) {
     const Argoverse2Log log("errors", {.sweeps = 2, .codec = test::FeatherCodec::none});
     const auto refuse = [&](const fs::path& file, const std::vector<test::FeatherColumn>& columns,
                             const std::string& part) {
-        expect_refused(log, file, test::make_feather_bytes(columns), part);
+        log.expect_error_with(file, test::make_feather_bytes(columns),
+                              file.filename().string() + " ... " + part);
     };
     const fs::path sensors = log.file("calibration/egovehicle_SE3_sensor.feather"),
                    vehicle_poses = log.file("city_SE3_egovehicle.feather"),
@@ -295,47 +263,36 @@ TEST(Argoverse2, SaysWhichFileIsWrong) {
             {Pose{}});
     };
     refuse(boxes, label(-1.0), "columns 'length_m' to 'height_m': row 0 is -1 x 1 x 1 ... 0");
-    const auto point = [](float value, std::uint8_t laser, std::int32_t offset_ns) {
-        return std::vector<test::FeatherColumn>{
-            test::make_numbers("x", std::vector<float>{value}),
-            test::make_numbers("y", std::vector<float>{1.0f}),
-            test::make_numbers("z", std::vector<float>{1.0f}),
-            test::make_numbers("intensity", std::vector<std::uint8_t>{1}),
-            test::make_numbers("laser_number", std::vector<std::uint8_t>{laser}),
-            test::make_numbers("offset_ns", std::vector<std::int32_t>{offset_ns})};
+    const auto refuse_point = [&](float x, std::uint8_t laser, std::int32_t offset_ns,
+                                  const std::string& part) {
+        log.expect_error_with(sweep, make_point_bytes(x, laser, offset_ns),
+                              sweep.filename().string() + " ... " + part);
     };
-    refuse(sweep, point(2e4f, 1, 0), "point 0 is (20000, 1, 1) ... coordinates ... 10000");
-    refuse(sweep, point(NAN, 1, 0), "column 'x': row 0 is nan");
-    refuse(sweep, point(1.0f, 64, 0), "column 'laser_number': row 0 is 64, expected 0 to 63");
-    refuse(sweep, point(1.0f, 1, 300000000), "column 'offset_ns': row 0 is 300000000");
+    refuse_point(2e4f, 1, 0, "point 0 is (20000, 1, 1) ... coordinates ... 10000");
+    refuse_point(NAN, 1, 0, "column 'x': row 0 is nan");
+    refuse_point(1.0f, 64, 0, "column 'laser_number': row 0 is 64, expected 0 to 63");
+    refuse_point(1.0f, 1, 300000000, "column 'offset_ns': row 0 is 300000000");
     refuse(sweep, {test::make_numbers("x", std::vector<float>())}, "points ... sweep");
     refuse(sweep, {test::make_numbers("x", std::vector<float>{1.0f})}, "column 'y' ... column");
     const std::string original = test::read_text(sweep);
-    expect_refused(log, sweep, original.substr(0, original.size() / 2), "truncated");
-    expect_refused(log, sweep, "", "0 bytes");
+    log.expect_error_with(sweep, original.substr(0, original.size() / 2), "truncated");
+    log.expect_error_with(sweep, "", "0 bytes");
 }
 
 TEST(Argoverse2, SaysWhatIsMissing) {
-    const Argoverse2Log log("missing", {.sweeps = 1, .codec = test::FeatherCodec::none});
-    const auto expect = [&](const std::string& part) {
-        try {
-            load_sequence("argoverse2:" + log.folder.string(), {});
-            ADD_FAILURE() << "no failure, expected " << part;
-        } catch (const DataError& error) {
-            EXPECT_THAT(error.what(), test::Names(part));
-        }
-    };
+    Argoverse2Log log("missing", {.sweeps = 1, .codec = test::FeatherCodec::none});
+    log.kind = "argoverse2:";
     fs::copy_file(log.sweep(0), log.sweep(0).parent_path() / "sweep_1.feather");
-    expect("sweep_1.feather ... sweep");
+    log.expect_error("sweep_1.feather ... sweep");
     fs::remove(log.sweep(0).parent_path() / "sweep_1.feather");
     fs::remove(log.file("calibration/egovehicle_SE3_sensor.feather"));
-    expect("calibration/egovehicle_SE3_sensor.feather: no such file");
+    log.expect_error("calibration/egovehicle_SE3_sensor.feather: no such file");
     fs::remove(log.file("city_SE3_egovehicle.feather"));
-    expect("city_SE3_egovehicle.feather: no such file");
+    log.expect_error("city_SE3_egovehicle.feather: no such file");
     fs::remove(log.sweep(0));
-    expect("sensors/lidar ... sweeps");
+    log.expect_error("sensors/lidar ... sweeps");
     fs::remove_all(log.file("sensors"));
-    expect("sensors/lidar ... folder");
+    log.expect_error("sensors/lidar ... folder");
 }
 
 }  // namespace

@@ -4,7 +4,6 @@
 #include <relidar/log/dataset.hpp>
 
 #include <cmath>
-#include <functional>
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -50,7 +49,7 @@ void expect_boreas_truth(const BoreasFolder& data, const LidarSequence& sequence
 TEST(Boreas, EveryReturnIsWhereItWasMeasured) {
     const BoreasFolder data("2020-11-26-13-58");
     EXPECT_EQ(detect_dataset_kind(data.folder), "boreas");
-    const LidarSequence sequence = load_sequence(data.folder.string(), {});
+    const LidarSequence sequence = data.load();
     EXPECT_EQ(sequence.name, "boreas-2020-11-26-13-58");
     EXPECT_THAT(sequence.conventions, test::Names("-42.60 degrees"));
     EXPECT_EQ(sequence.start_unix_ns, 1000 * BoreasFolder::stamp(0));
@@ -80,7 +79,7 @@ TEST(Boreas, AnglesThatOthersWouldWrite) {
         const BoreasFolder data("angles", angles);
         for (const bool calibrated : {true, false}) {
             if (!calibrated) fs::remove(data.calibration());
-            const LidarSequence sequence = load_sequence(data.folder.string(), {});
+            const LidarSequence sequence = data.load();
             EXPECT_THAT(sequence.notes,
                         testing::Contains(test::Names(std::string("angles ... poses ... ") + names[angles])));
             expect_boreas_truth(data, sequence);
@@ -91,7 +90,7 @@ TEST(Boreas, AnglesThatOthersWouldWrite) {
 TEST(Boreas, WithoutCalibrationForwardIsWhereItDrives) {
     const BoreasFolder data("uncalibrated");
     fs::remove(data.calibration());
-    const LidarSequence sequence = load_sequence(data.folder.string(), {});
+    const LidarSequence sequence = data.load();
     expect_boreas_truth(data, sequence);
     const glm::dvec3 ahead = sequence.world_from_vehicle.pose[0].rotation * glm::dvec3(1, 0, 0);
     EXPECT_NEAR(std::atan2(ahead.y, ahead.x), data.drive.heading_rad, 0.01);
@@ -99,18 +98,13 @@ TEST(Boreas, WithoutCalibrationForwardIsWhereItDrives) {
 
 TEST(Boreas, FramesAndOtherPoses) {
     const BoreasFolder data("frames");
-    DatasetOptions options;
-    options.frames = {2, 4};
-    const LidarSequence some = load_sequence(data.folder.string(), options);
+    const LidarSequence some = data.load({.frames = {2, 4}});
     ASSERT_EQ(some.frames.size(), 2u);
     EXPECT_EQ(some.frames[0].index, 2);
     EXPECT_NEAR(some.frames[0].time_s, 0.2, 1e-9) << "after the log's first scan";
-    options.frames = {6, 9};
-    data.expect_error("frames 6:9 ... boreas-frames ... [0, 5]", options);
-    options = {};
-    options.poses_file = kNoPoses;
+    data.expect_error("frames 6:9 ... boreas-frames ... [0, 5]", {.frames = {6, 9}});
     fs::remove(data.poses());
-    const LidarSequence none = load_sequence(data.folder.string(), options);
+    const LidarSequence none = data.load({.poses_file = kNoPoses});
     EXPECT_EQ(none.frames.size(), std::size_t(BoreasFolder::kScans));
     EXPECT_EQ(none.world_from_vehicle.pose[5].translation, glm::dvec3(0.0));
     EXPECT_THAT(none.notes, testing::Contains(test::Names("poses ... read")));
@@ -128,57 +122,43 @@ TEST(Boreas, ScansWithoutPosesAreLeftOut) {
         test::write_text(data.poses(), text);
     };
     without(0, 1);
-    const LidarSequence sequence = load_sequence(data.folder.string(), {});
+    const LidarSequence sequence = data.load();
     ASSERT_EQ(sequence.frames.size(), 4u);
     EXPECT_EQ(sequence.frames[0].index, 2);
     EXPECT_THAT(sequence.notes, testing::Contains(test::Names(
                                     "2 of 6 scans ... skipped ... frame 0 ... frame 1 ... lidar_poses.csv")));
-    DatasetOptions options;
-    options.frames = {0, 2};
     data.expect_error("lidar_poses.csv ... 0.200 to 39.900 s ... frames 0 to 1 ... 0.000 to 0.100 s",
-                      options);
+                      {.frames = {0, 2}});
     without(2, 3);  // 0.3 s between two poses
-    EXPECT_EQ(load_sequence(data.folder.string(), {}).frames.size(), 6u);
+    EXPECT_EQ(data.load().frames.size(), 6u);
 }
 
 TEST(Boreas, SaysWhichFileAndLineIsWrong) {
     const BoreasFolder data("errors");
-    const auto with = [&](const fs::path& file, const std::function<void(std::string&)>& change,
-                          const std::string& part) {
-        const std::string good = test::read_text(file);
-        std::string text = good;
-        change(text);
-        test::write_text(file, text);
-        data.expect_error(part);
-        test::write_text(file, good);
+    const auto with = [&](const fs::path& file, int line, const std::string& from, const std::string& to,
+                          const std::string& parts) {
+        const std::string text = test::read_text(file);
+        std::size_t at = 0;
+        for (int l = 1; l < line; ++l) at = text.find('\n', at) + 1;
+        data.expect_error_with(file, text.substr(0, at) + test::replace_first(text.substr(at), from, to),
+                               parts);
     };
-    const auto line = [](int number, const std::string& from, const std::string& to) {
-        return [=](std::string& text) {
-            std::size_t at = 0;
-            for (int l = 1; l < number; ++l) at = text.find('\n', at) + 1;
-            text.replace(text.find(from, at), from.size(), to);
-        };
-    };
-    with(data.poses(), line(3, ",0.0,0.0\n", "\n"),
+    with(data.poses(), 3, ",0.0,0.0\n", "\n",
          "lidar_poses.csv line 3: found 11 cells ... time ... 12 numbers");
-    with(data.poses(), line(4, ",0.3,", ",x,"), "lidar_poses.csv line 4: cell 11 is 'x' ... 1e+08");
-    with(data.poses(), line(4, ",0.3,", ",nan,"), "lidar_poses.csv line 4: cell 11 is 'nan'");
-    with(data.poses(), line(4, "16064", "t6064"), "lidar_poses.csv line 4: found 't606417097728152'");
-    with(data.poses(), line(5, "16064", "16063"),
+    with(data.poses(), 4, ",0.3,", ",x,", "lidar_poses.csv line 4: cell 11 is 'x' ... 1e+08");
+    with(data.poses(), 4, ",0.3,", ",nan,", "lidar_poses.csv line 4: cell 11 is 'nan'");
+    with(data.poses(), 4, "16064", "t6064", "lidar_poses.csv line 4: found 't606417097728152'");
+    with(data.poses(), 5, "16064", "16063",
          "lidar_poses.csv line 5 ... time 1606317097828152 ... 1606417097728152");
-    with(
-        data.poses(), [](std::string& text) { text.erase(text.find('\n') + 1); }, "lidar_poses.csv ... pose");
-    with(data.calibration(), line(1, " ", " x"), "T_applanix_lidar.txt ... 4 lines of 4 numbers");
-    with(data.calibration(), line(4, "0 0 0 1", ""), "T_applanix_lidar.txt: found 12 numbers, expected");
-    with(data.calibration(), line(1, "0.", "3."), "T_applanix_lidar.txt ... rotation");
-    with(
-        data.scan(3), [](std::string& bytes) { bytes.resize(bytes.size() - 5); }, ".bin: ");
-    with(
-        data.scan(3), [](std::string& bytes) { bytes.clear(); }, "0 points, expected 1 to");
-    DatasetOptions options;
-    options.skip_broken = true;
+    const std::string poses = test::read_text(data.poses()), scan = test::read_text(data.scan(3));
+    data.expect_error_with(data.poses(), poses.substr(0, poses.find('\n') + 1), "lidar_poses.csv ... pose");
+    with(data.calibration(), 1, " ", " x", "T_applanix_lidar.txt ... 4 lines of 4 numbers");
+    with(data.calibration(), 4, "0 0 0 1", "", "T_applanix_lidar.txt: found 12 numbers, expected");
+    with(data.calibration(), 1, "0.", "3.", "T_applanix_lidar.txt ... rotation");
+    data.expect_error_with(data.scan(3), scan.substr(0, scan.size() - 5), ".bin: ");
+    data.expect_error_with(data.scan(3), "", "0 points, expected 1 to");
     test::write_text(data.scan(3), "cut");
-    EXPECT_EQ(load_sequence(data.folder.string(), options).frames.size(), 5u);
+    EXPECT_EQ(data.load({.skip_broken = true}).frames.size(), 5u);
     data.expect_error("1606417097828152.bin: found 3 bytes ... multiple ... 24 bytes");
     fs::remove(data.poses());
     data.expect_error("lidar_poses.csv: no such file ... dataset.poses=FILE");

@@ -2,7 +2,6 @@
 // Reads point files and poses in the conventions of other programs: text files, numpy
 // arrays with named fields, pose files with different orders, and points without rings.
 #include <cmath>
-#include <fstream>
 #include <iterator>
 #include <random>
 
@@ -13,7 +12,6 @@
 #include <relidar/base/arrays.hpp>
 #include <relidar/base/error.hpp>
 
-#include "../../../base/codecs/temporary_folder.hpp"
 #include "log/readers/folder/point_log.hpp"
 #include "support/names.hpp"
 
@@ -22,6 +20,7 @@ namespace {
 
 namespace fs = std::filesystem;
 using test::expect_street;
+using test::kRings;
 using test::kStamped;
 using test::make_fresh_folder_path;
 using test::PointLog;
@@ -44,7 +43,7 @@ TEST(OtherPrograms, XyzOfColumns) {
                 fmt::format("{} {} {} {} {}\n", p.point_m.x, p.point_m.y, p.point_m.z, p.intensity, p.ring);
         return text;
     };
-    expect_street({"xyz", "xyz", xyz, R"(, "columns": ["x", "y", "z", "intensity", "ring"])"}, 1e-4);
+    expect_street({"xyz", "xyz", xyz, kRings}, 1e-4);
 }
 TEST(OtherPrograms, NpyWithNamedFields) {
     const auto npy = [](const test::FilePoints& points) {
@@ -74,9 +73,7 @@ TEST(OtherPrograms, NpyWithNamedFields) {
 TEST(OtherPrograms, Las) {
     const auto scan = [](const test::FilePoints& points) { return test::las(points, 100.0); };
     expect_street({"las", "las", scan, kStamped}, 1e-6);
-    const auto complaint = [](const PointLog& log) {
-        return error_message<DataError>([&] { load_sequence(log.folder.string(), {}); });
-    };
+    const auto complaint = [](const PointLog& log) { return test::find_load_error(log.folder.string()); };
     const auto survey = [](test::FilePoints points) {
         for (test::FilePoint& p : points) p.point_m.x += 500.0f;
         return test::las(points);
@@ -89,26 +86,16 @@ TEST(OtherPrograms, Las) {
 }
 
 TEST(OtherPrograms, NotesIntensitiesThatAreAllTheSame) {
-    const auto constant = [](test::FilePoints points) {
-        for (test::FilePoint& p : points) p.intensity = 0.5f;
-        return test::bin(points);
-    };
-    const PointLog log("constant", "bin", constant, R"(, "columns": ["x", "y", "z", "intensity", "ring"])");
-    EXPECT_THAT(load_sequence(log.folder.string(), {}).notes,
-                testing::Contains(test::Names("intensities ... 0.5")));
+    const PointLog log("constant", "bin", test::bin, kRings);
+    for (std::size_t i = 0; i < log.street.frames.size(); ++i)
+        log.change_points(i, [](test::FilePoint& p) { p.intensity = 0.5f; });
+    EXPECT_THAT(log.load().notes, testing::Contains(test::Names("intensities ... 0.5")));
 }
 
 TEST(OtherPrograms, NamesTheToolForOtherFormats) {
     const fs::path folder = make_fresh_folder_path("other_formats");
     fs::create_directories(folder / "scans");
-    const auto complaint = [](const fs::path& path) -> std::string {
-        try {
-            load_sequence(path.string(), {});
-        } catch (const DataError& error) {
-            return error.what();
-        }
-        return "";
-    };
+    const auto complaint = [](const fs::path& path) { return test::find_load_error(path.string()); };
     for (const auto& [name, tool] : {std::pair("a.laz", "pdal"), std::pair("a.E57", "pdal"),
                                      std::pair("a.lvx", "livox_ros_driver"), std::pair("a.osf", "ouster-cli"),
                                      std::pair("a.bag.gz", "gunzip"), std::pair("a.db3.zstd", "zstd")}) {
@@ -118,16 +105,22 @@ TEST(OtherPrograms, NamesTheToolForOtherFormats) {
         fs::remove(folder / name);
     }
     test::write_text(folder / "scans/a.laz", "content");
-    test::write_text(folder / "sequence.json", R"({"format": "relidar log", "version": 1, "rate_hz": 10})");
-    EXPECT_NE(complaint(folder).find("pdal"), std::string::npos) << complaint(folder);
+    test::write_text(folder / "sequence.json", test::make_head());
+    EXPECT_THAT(complaint(folder), test::Names("pdal"));
     fs::rename(folder / "scans/a.laz", folder / "scans/a.las");
     test::write_text(folder / "poses.txt", "1 0 0 0 0 1 0 0 0 0 1 0\n");
     EXPECT_THAT(complaint(folder), test::Names("LASF"));
 }
 
+/// Returns the member "lidars" for a LiDAR that is turned about z.
+std::string make_mounting(const Pose& turned) {
+    return fmt::format(R"(, "lidars": [{{"vehicle_from_sensor": {{"translation": [0, 0, 0],
+                              "quaternion": [{}, 0, 0, {}]}}}}])",
+                       turned.rotation.w, turned.rotation.z);
+}
+
 TEST(OtherPrograms, ReadsPosesOfOtherConventions) {
-    const PointLog log("conventions", "bin", test::bin,
-                       R"(, "columns": ["x", "y", "z", "intensity", "ring"])");
+    const PointLog log("conventions", "bin", test::bin, kRings);
     const PoseTrack& truth = log.street.world_from_vehicle;
     // The poses begin before the scans, because their convention needs a long motion.
     const auto write = [&](const auto& numbers) {
@@ -140,7 +133,7 @@ TEST(OtherPrograms, ReadsPosesOfOtherConventions) {
         test::write_text(log.folder / "poses.txt", text);
     };
     const auto expect = [&](const std::string& note, const Pose& of_vehicle) {
-        const LidarSequence sequence = load_sequence(log.folder.string(), {});
+        const LidarSequence sequence = log.load();
         const PoseTrack world =
             add_offset_to_track_positions(sequence.world_from_vehicle, sequence.world_offset_m);
         for (std::size_t i = 0; i < world.pose.size(); ++i) {
@@ -178,10 +171,7 @@ TEST(OtherPrograms, ReadsPosesOfOtherConventions) {
     // The poses of a vehicle that drives backwards look like inverse poses. The reader
     // must decide by the scans.
     const Pose backwards{glm::dquat(0.0, 0.0, 0.0, 1.0), {}};
-    test::write_text(
-        log.folder / "sequence.json",
-        R"({"format": "relidar log", "version": 1, "rate_hz": 10, "columns": ["x", "y", "z", "intensity", "ring"],
-            "lidars": [{"vehicle_from_sensor": {"translation": [0, 0, 0], "quaternion": [0, 0, 0, 1]}}]})");
+    log.put_head(kRings + make_mounting(backwards));
     write([&](const Pose& p) { return w_first(p * backwards); });
     expect("", backwards);
 }
@@ -189,16 +179,11 @@ TEST(OtherPrograms, ReadsPosesOfOtherConventions) {
 TEST(OtherPrograms, TheScansDecideTheOrderOfQuaternions) {
     // The street is driven in four directions, forward and backward. The mounting of the
     // LiDAR says where the front of the vehicle is.
-    const PointLog log("orders", "bin", test::bin, R"(, "columns": ["x", "y", "z", "intensity", "ring"])");
+    const PointLog log("orders", "bin", test::bin, kRings);
     const PoseTrack& truth = log.street.world_from_vehicle;
     for (const bool is_backward : {false, true}) {
         const Pose front{is_backward ? glm::dquat(0, 0, 0, 1) : glm::dquat(1, 0, 0, 0), {}};
-        test::write_text(log.folder / "sequence.json",
-                         fmt::format(
-                             R"({{"format": "relidar log", "version": 1, "rate_hz": 10,
-                     "columns": ["x", "y", "z", "intensity", "ring"], "lidars": [{{"vehicle_from_sensor":
-                     {{"translation": [0, 0, 0], "quaternion": [{}, 0, 0, {}]}}}}]}})",
-                             front.rotation.w, front.rotation.z));
+        log.put_head(kRings + make_mounting(front));
         for (const double heading_deg : {0.0, 90.0, 180.0, 270.0})
             for (const bool is_scalar_last : {false, true}) {
                 const Pose turned{make_rotation(heading_deg * kPi / 180.0, 0, 0), {}};
@@ -210,7 +195,7 @@ TEST(OtherPrograms, TheScansDecideTheOrderOfQuaternions) {
                                            : fmt::format(" {} {} {} {}\n", q.w, q.x, q.y, q.z);
                 }
                 test::write_text(log.folder / "poses.txt", text);
-                const LidarSequence sequence = load_sequence(log.folder.string(), {});
+                const LidarSequence sequence = log.load();
                 const Pose off =
                     inverse(turned * truth.pose[2] * front) * sequence.world_from_vehicle.pose[2];
                 EXPECT_GT(std::abs(off.rotation.w), 1.0 - 1e-9)
@@ -222,18 +207,17 @@ TEST(OtherPrograms, TheScansDecideTheOrderOfQuaternions) {
 }
 
 TEST(OtherPrograms, PosesWithoutTimesAreRefused) {
-    const PointLog log("untimed", "bin", test::bin, R"(, "columns": ["x", "y", "z", "intensity", "ring"])");
+    const PointLog log("untimed", "bin", test::bin, kRings);
     std::string text;
     for (int i = 0; i < 4; ++i) text += fmt::format("{} 0 0 1 0 0 0\n", i);  // x y z and a quaternion
     test::write_text(log.folder / "poses.txt", text);
-    EXPECT_THAT(error_message<DataError>([&] { load_sequence(log.folder.string(), {}); }),
-                test::Names("poses ... times"));
+    EXPECT_THAT(test::find_load_error(log.folder.string()), test::Names("poses ... times"));
 }
 
 TEST(OtherPrograms, ATableOfTimesIsNotAScan) {
-    const PointLog log("times", "bin", test::bin, R"(, "columns": ["x", "y", "z", "intensity", "ring"])");
+    const PointLog log("times", "bin", test::bin, kRings);
     test::write_text(log.folder / "scans" / "timestamps.csv", "frame,time\n0,0.0\n1,0.1\n");
-    EXPECT_EQ(load_sequence(log.folder.string(), {}).frames.size(), 4u);
+    EXPECT_EQ(log.load().frames.size(), 4u);
 }
 
 TEST(OtherPrograms, FindsRingsInTheOrderOfTheFile) {
@@ -244,11 +228,9 @@ TEST(OtherPrograms, FindsRingsInTheOrderOfTheFile) {
     fs::create_directories(folder / "scans");
     for (int frame = 0; frame < 3; ++frame)
         fs::copy_file(drive.scan(frame), folder / "scans" / fmt::format("{}.bin", frame));
-    test::write_text(folder / "sequence.json", R"({"format": "relidar log", "version": 1, "rate_hz": 10})");
-    DatasetOptions options;
-    options.poses_file = kNoPoses;
-    const LidarSequence kitti = load_sequence(drive.folder.string(), {}),
-                        plain = load_sequence(folder.string(), options);
+    test::write_text(folder / "sequence.json", test::make_head());
+    const LidarSequence kitti = drive.load(),
+                        plain = load_sequence(folder.string(), {.poses_file = kNoPoses});
     ASSERT_EQ(plain.lidars[0].sensor.beams.size(), 64u);
     for (std::size_t b = 0; b < 64; ++b)
         EXPECT_NEAR(plain.lidars[0].sensor.beams[b].elevation_rad, drive.beams[b].elevation_rad, 0.03) << b;
@@ -266,16 +248,12 @@ TEST(OtherPrograms, InventsNoBeamsForThinnedClouds) {
             if (random() % 100 < 25) some.push_back(point);
         return test::bin(some);
     };
-    const PointLog log("thinned", "bin", thinned, R"(, "columns": ["x", "y", "z", "intensity", "unused"])");
-    const LidarSequence sequence = load_sequence(log.folder.string(), {});
+    const PointLog log("thinned", "bin", thinned, test::kNoRings);
+    const LidarSequence sequence = log.load();
     EXPECT_TRUE(sequence.lidars[0].sensor.beams.empty());
     EXPECT_TRUE(std::ranges::any_of(sequence.notes, [](const std::string& n) {
         return n.find("removed") != n.npos || n.find("order") != n.npos;
     }));
-}
-
-std::string replace_first(std::string text, const std::string& from, const std::string& to) {
-    return text.replace(text.find(from), from.size(), to);
 }
 
 TEST(OtherPrograms, PcdPaddingOfCountZero) {
@@ -284,13 +262,14 @@ TEST(OtherPrograms, PcdPaddingOfCountZero) {
         const auto without = [&](const test::FilePoints& points) { return test::make_pcd(points, data, 0); };
         // some programs write COUNT 0 although the file contains the padding
         const auto with = [&](const test::FilePoints& points) {
-            return replace_first(test::make_pcd(points, data, 3), "COUNT 1 1 1 3", "COUNT 1 1 1 0");
+            return test::replace_first(test::make_pcd(points, data, 3), "COUNT 1 1 1 3", "COUNT 1 1 1 0");
         };
         const auto several = [&](const test::FilePoints& points) {
-            std::string text = replace_first(without(points), "timestamp\nSIZE 4", "timestamp _\nSIZE 4");
-            text = replace_first(std::move(text), "2 8\nTYPE", "2 8 4\nTYPE");
-            text = replace_first(std::move(text), "U U U F\n", "U U U F F\n");
-            return replace_first(std::move(text), "0 1 1 1\n", "0 1 1 1 0\n");
+            std::string text =
+                test::replace_first(without(points), "timestamp\nSIZE 4", "timestamp _\nSIZE 4");
+            text = test::replace_first(std::move(text), "2 8\nTYPE", "2 8 4\nTYPE");
+            text = test::replace_first(std::move(text), "U U U F\n", "U U U F F\n");
+            return test::replace_first(std::move(text), "0 1 1 1\n", "0 1 1 1 0\n");
         };
         expect_street({fmt::format("count_0_{}", n), "pcd", without, kStamped}, 1e-6);
         expect_street({fmt::format("count_0_padded_{}", n), "pcd", with, kStamped}, 1e-6);
@@ -341,7 +320,7 @@ TEST(OtherPrograms, TwoReturnsWithoutNumbers) {
         const PointLog log(fmt::format("two_returns_{}", k), k == 1 ? "ply" : "pcd", layouts[k],
                            k == 1 ? R"(, "point_times": "absolute")" : kStamped);
         expect_street(log, 1e-6);
-        const LidarSequence sequence = load_sequence(log.folder.string(), {});
+        const LidarSequence sequence = log.load();
         EXPECT_THAT(sequence.notes, testing::Contains(test::Names("two returns ... without numbers")));
         for (std::size_t f = 0; f < sequence.frames.size(); ++f) {
             const Scan &scan = sequence.frames[f].scan, &truth = log.street.frames[f].scan;
@@ -367,21 +346,20 @@ TEST(OtherPrograms, NpzWithPoints) {
         write_npz(file, {make_array("points", {points.size(), 4}, xyzi.data(), xyzi.size()),
                          make_array("ring", {points.size()}, rings.data(), rings.size()),
                          make_array("time", {points.size()}, times.data(), times.size())});
-        std::ifstream stream(file, std::ios::binary);
-        return std::string(std::istreambuf_iterator<char>(stream), {});
+        return test::read_text(file);
     };
     const PointLog log("npz_points", "npz", npz, R"(, "point_times": "absolute")");
     expect_street(log, 1e-6);
     const float number = 1.0f;
     for (const fs::path& file : fs::directory_iterator(log.folder / "scans"))
         write_npz(file, {make_array("depth", {1}, &number, 1)});
-    EXPECT_THAT(error_message<DataError>([&] { load_sequence(log.folder.string(), {}); }),
+    EXPECT_THAT(test::find_load_error(log.folder.string()),
                 testing::AllOf(test::Names("found the arrays depth; expected ... 'points'"),
                                testing::Not(testing::HasSubstr("skip_broken"))));
     const std::vector<float> six(60, 1.0f);
     for (const fs::path& file : fs::directory_iterator(log.folder / "scans"))
         write_npz(file, {make_array("points", {10, 6}, six.data(), six.size())});
-    EXPECT_THAT(error_message<DataError>([&] { load_sequence(log.folder.string(), {}); }),
+    EXPECT_THAT(test::find_load_error(log.folder.string()),
                 testing::AllOf(test::Names("last dimension is 6 ... set \"columns\" in sequence.json"),
                                testing::Not(testing::HasSubstr("skip_broken"))));
 }
@@ -398,7 +376,7 @@ TEST(OtherPrograms, Float32TimesAndNegativeIntensities) {
     const PointLog log("float_times", "bin", bytes_of,
                        R"(, "columns": ["x", "y", "z", "intensity", "ring", "time"], "intensity_max": 1,
                            "point_times": "absolute")");
-    const LidarSequence sequence = load_sequence(log.folder.string(), {});
+    const LidarSequence sequence = log.load();
     for (const char* note : {"lost their precision", "no times ... azimuths", "negative, down to -0.25"})
         EXPECT_THAT(sequence.notes, testing::Contains(test::Names(note)));
 }
@@ -409,7 +387,7 @@ TEST(OtherPrograms, PointsOfWrongTimeAreSkipped) {
         return test::make_pcd_binary(points);
     };
     const PointLog log("late_points", "pcd", late, kStamped);
-    const LidarSequence sequence = load_sequence(log.folder.string(), {});
+    const LidarSequence sequence = log.load();
     EXPECT_THAT(sequence.notes, testing::Contains(test::Names("80 points of 4 scans ... times")));
     for (const LidarFrame& frame : sequence.frames)
         for (const float t_s : frame.scan.rays.time_offset_s) EXPECT_LT(std::abs(t_s), 0.06f);
@@ -428,9 +406,8 @@ TEST(OtherPrograms, NamesThePackedPointsOfNclt) {
         }
         return bytes;
     };
-    EXPECT_THAT(error_message<DataError>(
-                    [&] { load_sequence(PointLog("nclt", "bin", nclt, "").folder.string(), {}); }),
-                test::Names("NCLT ... uint16 ... laser"));
+    const PointLog log("nclt", "bin", nclt, "");
+    EXPECT_THAT(test::find_load_error(log.folder.string()), test::Names("NCLT ... uint16 ... laser"));
 }
 
 }  // namespace

@@ -17,7 +17,6 @@
 #include <relidar/base/error.hpp>
 #include <relidar/base/files.hpp>
 #include "../../../support/rig_street.hpp"
-
 #include "../../../support/two_lidars.hpp"
 #include "log/clouds/point_writers.hpp"
 #include "log/readers/folder/point_log.hpp"
@@ -63,6 +62,7 @@ void expect_same_poses(const PoseTrack& sequence, const PoseTrack& truth, double
 void expect_same_log(const LidarSequence& sequence, const LidarSequence& truth) {
     EXPECT_EQ(sequence.name, truth.name);
     EXPECT_EQ(sequence.conventions, truth.conventions);
+    EXPECT_EQ(sequence.start_unix_ns, truth.start_unix_ns);
     Notes notes = truth.notes;
     std::erase_if(notes, [](const Note& note) { return !note.id.empty(); });
     EXPECT_EQ(sequence.notes, notes);
@@ -125,11 +125,17 @@ void expect_same_scans(const LidarSequence& sequence, const LidarSequence& truth
     }
 }
 
+/// Saves a log to a new folder.
+fs::path save(const std::string& name, const LidarSequence& log) {
+    const fs::path folder = make_fresh_folder_path(name);
+    save_folder(log, folder);
+    return folder;
+}
+
 TEST(SaveFolder, IsReadAsTheSameLog) {
     const LidarSequence street = make_rich_street();
     ASSERT_FALSE(street.boxes.empty());
-    const fs::path folder = make_fresh_folder_path("saved");
-    save_folder(street, folder);
+    const fs::path folder = save("saved", street);
     EXPECT_EQ(detect_dataset_kind(folder), "folder");
     const LidarSequence sequence = load_sequence(folder.string(), {});
     expect_same_log(sequence, street);
@@ -137,11 +143,8 @@ TEST(SaveFolder, IsReadAsTheSameLog) {
 }
 
 TEST(SaveFolder, KeepsADrive) {
-    const test::KittiDrive drive("to_folder");
-    const LidarSequence truth = load_sequence(drive.folder.string(), {});
-    const fs::path folder = make_fresh_folder_path("drive");
-    save_folder(truth, folder);
-    const LidarSequence sequence = load_sequence(folder.string(), {});
+    const LidarSequence truth = test::KittiDrive("to_folder").load();
+    const LidarSequence sequence = load_sequence(save("drive", truth).string(), {});
     expect_same_log(sequence, truth);
     expect_same_scans(sequence, truth);
 }
@@ -150,8 +153,7 @@ TEST(SaveFolder, KeepsRaysOfASensorThatDoesNotSpin) {
     LidarSequence street = make_synthetic_street({.n_frames = 3, .rows = 8, .columns = 64});
     street.lidars[0].sensor = {
         .name = "flash", .beams = {}, .columns = 0, .period_s = 0.0, .max_range_m = 60.0};
-    const fs::path folder = make_fresh_folder_path("flash");
-    save_folder(street, folder);
+    const fs::path folder = save("flash", street);
     const LidarSequence sequence = load_sequence(folder.string(), {});
     EXPECT_EQ(sequence.lidars[0].sensor.period_s, 0.0);
     EXPECT_EQ(sequence.lidars[0].sensor.max_range_m, 60.0);
@@ -168,8 +170,7 @@ TEST(SaveFolder, KeepsARigOfSensorsThatDoNotSpin) {
     for (LidarFrame& frame : street.frames)
         if (frame.lidar == test::kRosette) frame.scan.rays.ray_divergence_rad = table.ray_divergence_rad;
     street.lidars[test::kRosette].pattern = table;
-    const fs::path folder = make_fresh_folder_path("rig");
-    save_folder(street, folder);
+    const fs::path folder = save("rig", street);
     const LidarSequence sequence = load_sequence(folder.string(), {});
     ASSERT_EQ(sequence.lidars.size(), 4u);
     EXPECT_FALSE(sequence.lidars[test::kSpinning].pattern);
@@ -191,8 +192,7 @@ TEST(SaveFolder, KeepsARigOfSensorsThatDoNotSpin) {
 TEST(SaveFolder, SaysThatScansAreMotionCompensated) {
     LidarSequence street = make_synthetic_street({.n_frames = 3, .rows = 8, .columns = 64});
     street.rolling_shutter = false;
-    const fs::path folder = make_fresh_folder_path("compensated_log");
-    save_folder(street, folder);
+    const fs::path folder = save("compensated_log", street);
     const std::vector<NamedArray> arrays = read_npz((folder / "scans/000001.npz").string());
     EXPECT_EQ(find_array(arrays, "deskewed")->convert_to_floats(), std::vector<float>{1.0f});
     EXPECT_EQ(find_array(arrays, "time")->convert_to_floats(), std::vector<float>(8 * 64, 0.0f));
@@ -213,11 +213,8 @@ TEST(SaveFolder, SaysThatScansAreMotionCompensated) {
 
 TEST(SaveFolder, ReadsARangeOfItsFrames) {
     const LidarSequence street = make_rich_street();
-    const fs::path folder = make_fresh_folder_path("range");
-    save_folder(street, folder);
-    DatasetOptions options;
-    options.frames = {1, 3};
-    const LidarSequence sequence = load_sequence(folder.string(), options);
+    const fs::path folder = save("range", street);
+    const LidarSequence sequence = load_sequence(folder.string(), {.frames = {1, 3}});
     ASSERT_EQ(sequence.frames.size(), 4u);
     EXPECT_EQ(sequence.frames[0].scan.range_m, street.frames[2].scan.range_m);
     for (const BoxTrack& box : sequence.boxes)
@@ -233,11 +230,8 @@ std::vector<std::string> list_names_in(const fs::path& folder) {
 
 TEST(SaveFolder, ReadsAFewScansForALook) {
     const LidarSequence street = make_rich_street();  // five frames of each LiDAR
-    const fs::path folder = make_fresh_folder_path("looked_at");
-    save_folder(street, folder);
-    DatasetOptions options;
-    options.max_scans = 2;
-    const LidarSequence sequence = load_sequence(folder.string(), options);
+    const fs::path folder = save("looked_at", street);
+    const LidarSequence sequence = load_sequence(folder.string(), {.max_scans = 2});
     expect_same_log(sequence, street);
     ASSERT_EQ(sequence.frames.size(), street.frames.size());
     for (std::size_t i = 0; i < street.frames.size(); ++i) {
@@ -288,52 +282,36 @@ TEST(SaveFolder, DeletesNoFilesOfOthers) {
     }
 }
 
-TEST(PlainFolder, PcdAsText) { expect_street({"pcd_text", "pcd", test::make_pcd_text, kStamped}, 1e-6); }
-TEST(PlainFolder, PcdPacked) { expect_street({"pcd_binary", "pcd", test::make_pcd_binary, kStamped}, 1e-6); }
-TEST(PlainFolder, PcdCompressed) {
+TEST(PlainFolder, Formats) {
+    expect_street({"pcd_text", "pcd", test::make_pcd_text, kStamped}, 1e-6);
+    expect_street({"pcd_binary", "pcd", test::make_pcd_binary, kStamped}, 1e-6);
     expect_street({"pcd_lzf", "pcd", test::make_pcd_compressed, kStamped}, 1e-6);
-}
-TEST(PlainFolder, PlyAsText) {
-    expect_street({"ply_text", "ply", test::make_ply_text, R"(, "point_times": "absolute")"}, 1e-6);
-}
-TEST(PlainFolder, PlyPacked) {
-    expect_street({"ply_binary", "ply", test::make_ply_binary, R"(, "point_times": "absolute")"}, 1e-6);
-}
-TEST(PlainFolder, NpyOfColumns) {
+    const char* absolute = R"(, "point_times": "absolute")";
+    expect_street({"ply_text", "ply", test::make_ply_text, absolute}, 1e-6);
+    expect_street({"ply_binary", "ply", test::make_ply_binary, absolute}, 1e-6);
     expect_street(
         {"npy", "npy", test::npy,
          R"(, "columns": ["x", "y", "z", "intensity", "ring", "timestamp"], "point_times": "absolute")"},
         1e-6);
 }
 TEST(PlainFolder, BinWithRingsAlone) {
-    const PointLog log("bin", "bin", test::bin, R"(, "columns": ["x", "y", "z", "intensity", "ring"])");
+    const PointLog log("bin", "bin", test::bin, test::kRings);
     expect_street(log, 1e-4);  // the sensor faces forward at the frame's time
-    EXPECT_THAT(load_sequence(log.folder.string(), {}).notes.back(), test::Names("times"));
+    EXPECT_THAT(log.load().notes.back(), test::Names("times"));
 }
 
 TEST(PlainFolder, FindsRingsThatPointsDoNotHave) {
-    expect_street({"no_rings", "bin", test::bin, R"(, "columns": ["x", "y", "z", "intensity", "unused"])"},
-                  1e-4);
+    expect_street({"no_rings", "bin", test::bin, test::kNoRings}, 1e-4);
 }
 
 TEST(PlainFolder, TakesBeamsThatAreGiven) {
-    const PointLog log("given", "bin", test::bin, R"(, "columns": ["x", "y", "z", "intensity", "ring"])");
-    std::string beams;
-    for (const Beam& beam : log.street.lidars[0].sensor.beams)
-        beams += fmt::format("{}{{\"elevation_deg\": {}}}", beams.empty() ? "" : ", ",
-                             beam.elevation_rad * 180.0 / kPi);
-    const std::string sensor =
-        fmt::format(R"("lidars": [{{"sensor": {{"beams": [{}], "columns": 360}}}}])", beams);
-    const auto head = [&](const std::string& columns) {
-        test::write_text(
-            log.folder / "sequence.json",
-            fmt::format(R"({{"format": "relidar log", "version": 1, "rate_hz": 10, "columns": [{}], {}}})",
-                        columns, sensor));
-    };
-    head(R"("x", "y", "z", "intensity", "ring")");
-    expect_street(log, 1e-4);
-    head(R"("x", "y", "z", "intensity", "unused")");
-    expect_street(log, 1e-4);
+    const PointLog log("given", "bin", test::bin, test::kRings);
+    const std::string sensor = fmt::format(R"(, "lidars": [{{"sensor": {{{}, "columns": 360}}}}])",
+                                           test::make_beams(log.street.lidars[0].sensor));
+    for (const char* columns : {test::kRings, test::kNoRings}) {
+        log.put_head(columns + sensor);
+        expect_street(log, 1e-4);
+    }
 }
 
 TEST(PlainFolder, CountsRingsFromBelowWhereItIsTold) {
@@ -342,8 +320,7 @@ TEST(PlainFolder, CountsRingsFromBelowWhereItIsTold) {
         return test::bin(points);
     };
     // the sensor is fitted
-    expect_street(
-        {"lowest", "bin", mirror_vertically, R"(, "columns": ["x", "y", "z", "intensity", "ring"])"}, 1e-4);
+    expect_street({"lowest", "bin", mirror_vertically, test::kRings}, 1e-4);
     std::string csv = "elevation_deg\n";
     const LidarSequence street = make_synthetic_street({.n_frames = 1, .rows = 16, .columns = 8});
     for (const Beam& beam : street.lidars[0].sensor.beams)
@@ -355,29 +332,20 @@ TEST(PlainFolder, CountsRingsFromBelowWhereItIsTold) {
     expect_street(log, 1e-4);
 }
 
-/// Head of a log with points of the LiDAR of the street.
-std::string make_head(double rate_hz, const std::string& columns, const std::string& more = "") {
-    return fmt::format(R"({{"format": "relidar log", "version": 1, "rate_hz": {}, "columns": [{}]{}}})",
-                       rate_hz, columns, more);
-}
-
 TEST(PlainFolder, ALogWithSomeOfTheScansKeepsTheSweepTime) {
     const PointLog log("thinned", "bin", test::bin, "");
     // The LiDAR makes 10 revolutions per second. Every fifth scan was kept.
-    test::write_text(log.folder / "sequence.json", make_head(2.0, R"("x", "y", "z", "intensity", "ring")"));
-    EXPECT_NEAR(load_sequence(log.folder.string(), {}).lidars[0].sensor.period_s, 0.1, 1e-9);
-    test::write_text(log.folder / "sequence.json", make_head(5.0, R"("x", "y", "z", "intensity", "ring")"));
-    EXPECT_NEAR(load_sequence(log.folder.string(), {}).lidars[0].sensor.period_s, 0.2, 1e-9);
+    log.put_head(test::kRings, 2.0);
+    EXPECT_NEAR(log.load().lidars[0].sensor.period_s, 0.1, 1e-9);
+    log.put_head(test::kRings, 5.0);
+    EXPECT_NEAR(log.load().lidars[0].sensor.period_s, 0.2, 1e-9);
 }
 
 TEST(PlainFolder, AScanWithoutValidPointsHasOnlyDroppedRays) {
     for (const std::size_t empty : {0, 2}) {
-        const PointLog log("empty_scan", "bin", test::bin,
-                           R"(, "columns": ["x", "y", "z", "intensity", "ring"])");
-        test::FilePoints points = PointLog::points(log.street.frames[empty]);
-        for (test::FilePoint& p : points) p.point_m = glm::vec3(NAN);
-        test::write_text(log.folder / fmt::format("scans/{:02}.bin", empty), test::bin(points));
-        const LidarSequence sequence = load_sequence(log.folder.string(), {});
+        const PointLog log("empty_scan", "bin", test::bin, test::kRings);
+        log.change_points(empty, [](test::FilePoint& p) { p.point_m = glm::vec3(NAN); });
+        const LidarSequence sequence = log.load();
         ASSERT_EQ(sequence.frames.size(), 4u);
         EXPECT_EQ(sequence.frames[empty].scan.count_returns(), 0u);
         EXPECT_EQ(sequence.frames[empty].scan.range_m.size(), sequence.frames[1].scan.range_m.size());
@@ -387,16 +355,12 @@ TEST(PlainFolder, AScanWithoutValidPointsHasOnlyDroppedRays) {
 
 TEST(PlainFolder, ALogWithoutValidPointsIsRead) {
     const PointLog log("no_points", "bin", test::bin, "");
-    for (std::size_t i = 0; i < log.street.frames.size(); ++i) {
-        test::FilePoints points = PointLog::points(log.street.frames[i]);
-        for (test::FilePoint& p : points) p.point_m = glm::vec3(NAN);
-        test::write_text(log.folder / fmt::format("scans/{:02}.bin", i), test::bin(points));
-    }
+    for (std::size_t i = 0; i < log.street.frames.size(); ++i)
+        log.change_points(i, [](test::FilePoint& p) { p.point_m = glm::vec3(NAN); });
     for (const bool has_sensor : {false, true}) {
-        test::write_text(log.folder / "sequence.json",
-                         make_head(10.0, R"("x", "y", "z", "intensity", "ring")",
-                                   has_sensor ? R"(, "lidars": [{"sensor": "VLP-16:900x10"}])" : ""));
-        const LidarSequence sequence = load_sequence(log.folder.string(), {});
+        log.put_head(std::string(test::kRings) +
+                     (has_sensor ? R"(, "lidars": [{"sensor": "VLP-16:900x10"}])" : ""));
+        const LidarSequence sequence = log.load();
         ASSERT_EQ(sequence.frames.size(), 4u);
         EXPECT_EQ(sequence.frames[1].scan.count_returns(), 0u);
         EXPECT_EQ(sequence.frames[1].scan.range_m.size(), has_sensor ? 16u * 900u : 0u);
@@ -407,23 +371,16 @@ TEST(PlainFolder, ALogWithoutValidPointsIsRead) {
 
 TEST(PlainFolder, NotesASensorThatDoesNotFitThePoints) {
     const PointLog log("other_sensor", "bin", test::bin, "");
-    const std::string columns = R"("x", "y", "z", "intensity", "unused")";
-    std::string beams;
-    for (const Beam& beam : log.street.lidars[0].sensor.beams)
-        beams += fmt::format("{}{{\"elevation_deg\": {}}}", beams.empty() ? "" : ", ",
-                             0.1 * beam.elevation_rad * 180.0 / kPi);
-    test::write_text(
-        log.folder / "sequence.json",
-        make_head(10.0, columns,
-                  fmt::format(R"(, "lidars": [{{"sensor": {{"beams": [{}], "columns": 360}}}}])", beams)));
-    EXPECT_THAT(test::join_lines(load_sequence(log.folder.string(), {}).notes),
+    log.put_head(test::kNoRings + fmt::format(R"(, "lidars": [{{"sensor": {{{}, "columns": 360}}}}])",
+                                              test::make_beams(log.street.lidars[0].sensor, 0.1)));
+    EXPECT_THAT(test::join_lines(log.load().notes),
                 test::Names("are skipped ... a sensor in sequence.json that did not measure"));
 }
 
 TEST(PlainFolder, KeepsPointsWithoutOrderOfALidarThatDoesNotSpin) {
     const PointLog log("solid", "bin", test::bin,
                        R"(, "columns": ["x", "y", "z", "intensity", "ring"], "lidars": [{"spins": false}])");
-    const LidarSequence sequence = load_sequence(log.folder.string(), {});
+    const LidarSequence sequence = log.load();
     EXPECT_EQ(sequence.lidars[0].sensor.period_s, 0.0);
     for (std::size_t f = 0; f < sequence.frames.size(); ++f) {
         const test::FilePoints points = PointLog::points(log.street.frames[f]);
@@ -453,14 +410,12 @@ TEST(PlainFolder, UndoesMotionCompensation) {
         "compensated", "npy", compensated,
         R"(, "motion_compensated": true, "columns": ["x", "y", "z", "intensity", "ring", "timestamp"], "point_times": "absolute")");
     expect_street(log, 1e-6);
-    EXPECT_TRUE(load_sequence(log.folder.string(), {}).rolling_shutter);
-    DatasetOptions without;
-    without.poses_file = kNoPoses;
-    EXPECT_FALSE(load_sequence(log.folder.string(), without).rolling_shutter);
+    EXPECT_TRUE(log.load().rolling_shutter);
+    EXPECT_FALSE(log.load({.poses_file = kNoPoses}).rolling_shutter);
 }
 
 TEST(PlainFolder, InterpolatesPosesThatHaveTimes) {
-    const PointLog log("track", "bin", test::bin, R"(, "columns": ["x", "y", "z", "intensity", "ring"])");
+    const PointLog log("track", "bin", test::bin, test::kRings);
     // The first log has columns by position. The second log has a byte-order mark and the
     // column names of TUM, whose quaternions have w last.
     const std::string logs[] = {
@@ -472,7 +427,7 @@ TEST(PlainFolder, InterpolatesPosesThatHaveTimes) {
         "0.7071067811865476\n"};
     for (const std::string& poses : logs) {
         test::write_text(log.folder / "poses.txt", poses);
-        const LidarSequence sequence = load_sequence(log.folder.string(), {});
+        const LidarSequence sequence = log.load();
         const PoseTrack world =
             add_offset_to_track_positions(sequence.world_from_vehicle, sequence.world_offset_m);
         EXPECT_LT(glm::distance(world.pose[1].translation, glm::dvec3(1.5, 0, 0)), 1e-12);  // 0.1 s
@@ -483,14 +438,12 @@ TEST(PlainFolder, InterpolatesPosesThatHaveTimes) {
 
 TEST(PlainFolder, BoxesByFrameAndYaw) {
     const PointLog log("boxes", "bin", test::bin, "");
-    test::write_text(
-        log.folder / "sequence.json",
-        R"({"format": "relidar log", "version": 1, "rate_hz": 10, "columns": ["x", "y", "z", "intensity", "ring"]})");
+    log.put_head(test::kRings);
     test::write_text(log.folder / "boxes.json", R"({"boxes": [
         {"track": "7", "category": "Car", "frame": 1, "size": [4, 2, 1.5], "position": [10, 1, 0.75], "yaw_deg": 90},
         {"track": "8", "category": "Van", "time_s": 0.1, "size": [5, 2, 2], "position": [1, 9, 1], "quaternion": [1, 0, 0, 0]},
         {"track": "7", "category": "Car", "frame": 2, "size": [4, 2, 1.5], "position": [11, 1, 0.75], "yaw_deg": 90}]})");
-    const LidarSequence sequence = load_sequence(log.folder.string(), {});
+    const LidarSequence sequence = log.load();
     ASSERT_EQ(sequence.boxes.size(), 2u);
     EXPECT_EQ(sequence.boxes[0].id, "7");
     EXPECT_EQ(sequence.boxes[0].world_from_box.time_s, (std::vector<double>{0.1, 0.2}));
@@ -513,7 +466,7 @@ TEST(PlainFolder, ReadsRenderedScans) {
                                    make_array("directions", {1, 2, 3}, directions.data(), 6),
                                    make_single_text_array("sensor", "native")};
     write_npz(folder / "scans/frame_000000.npz", arrays);
-    test::write_text(folder / "sequence.json", R"({"format": "relidar log", "version": 1, "rate_hz": 10})");
+    test::write_text(folder / "sequence.json", test::make_head());
     test::write_text(folder / "poses.txt", "1 0 0 0 0 1 0 0 0 0 1 0\n");
     const Scan scan = load_sequence(folder.string(), {}).frames[0].scan;
     EXPECT_EQ(scan.range_m, (ScanArray<float>{5.5f, 0.0f}));

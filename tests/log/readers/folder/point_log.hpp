@@ -21,6 +21,25 @@ namespace relidar::test {
 
 namespace fs = std::filesystem;
 
+/// Members of sequence.json for points of a .bin file.
+inline constexpr const char* kRings = R"(, "columns": ["x", "y", "z", "intensity", "ring"])";
+/// The same points without rings, whose column is skipped.
+inline constexpr const char* kNoRings = R"(, "columns": ["x", "y", "z", "intensity", "unused"])";
+
+/// Returns sequence.json with these additional members.
+inline std::string make_head(const std::string& members = "", double rate_hz = 10.0) {
+    return fmt::format(R"({{"format": "relidar log", "version": 1, "rate_hz": {}{}}})", rate_hz, members);
+}
+
+/// Returns the member "beams" of a sensor.
+inline std::string make_beams(const SpinningSensor& sensor, double factor = 1.0) {
+    std::string beams;
+    for (const Beam& beam : sensor.beams)
+        beams += fmt::format("{}{{\"elevation_deg\": {}}}", beams.empty() ? "" : ", ",
+                             factor * beam.elevation_rad * 180.0 / kPi);
+    return "\"beams\": [" + beams + "]";
+}
+
 inline fs::path make_fresh_folder_path(const std::string& name) {
     const fs::path folder = fs::path(testing::TempDir()) / "relidar_folder" / name;
     fs::remove_all(folder);
@@ -49,8 +68,19 @@ struct PointLog {
             poses += "\n";
         }
         write_text(folder / "poses.txt", poses);
-        write_text(folder / "sequence.json",
-                   "{\"format\": \"relidar log\", \"version\": 1, \"rate_hz\": 10" + members + "}");
+        put_head(members);
+    }
+    void put_head(const std::string& members, double rate_hz = 10.0) const {
+        write_text(folder / "sequence.json", make_head(members, rate_hz));
+    }
+    LidarSequence load(const DatasetOptions& options = {}) const {
+        return load_sequence(folder.string(), options);
+    }
+    /// Writes the points of a frame after a change of each point.
+    void change_points(std::size_t frame, const std::function<void(FilePoint&)>& change) const {
+        FilePoints changed = points(street.frames[frame]);
+        for (FilePoint& point : changed) change(point);
+        write_text(folder / fmt::format("scans/{:02}.bin", frame), bin(changed));
     }
 
     static FilePoints points(const LidarFrame& frame) {

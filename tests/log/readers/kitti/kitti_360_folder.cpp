@@ -116,7 +116,7 @@ void Kitti360Folder::write_poses(const std::vector<int>& frames) const {
 }
 
 Kitti360Folder::Kitti360Folder(const std::string& name, int first)
-    : sweeps(name), folder(sweeps.folder.parent_path().parent_path() / "KITTI-360") {
+    : LogFolder("relidar_" + name, "KITTI-360"), sweeps(name + "_sweeps") {
     for (int frame = 0; frame < kFrames; ++frame)
         write_text(scan(first + frame), read_text(sweeps.scan(frame)));
     write_text(raw() / "timestamps.txt", make_timestamps(first + 10));

@@ -14,13 +14,12 @@
 
 namespace relidar::test {
 
-struct Kitti360Folder {
+struct Kitti360Folder : LogFolder {
     static constexpr int kFirst = 2350, kFrames = 3;
     static constexpr double kPeriod_s = 0.1;
     static constexpr const char* kDrive = "2013_05_28_drive_0000_sync";
 
     KittiDrive sweeps;
-    std::filesystem::path folder;
 
     /// @param first frame number of the first sweep
     explicit Kitti360Folder(const std::string& name, int first = kFirst);

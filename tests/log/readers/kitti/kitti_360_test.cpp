@@ -24,10 +24,6 @@ using test::read_text;
 using test::write_text;
 using testing::Contains;
 
-LidarSequence read(const Kitti360Folder& kitti, const DatasetOptions& options = {}) {
-    return load_sequence(kitti.folder.string(), options);
-}
-
 std::size_t points_in(const LidarSequence& log, const LidarFrame& frame, const BoxTrack& box) {
     std::size_t n = 0;
     for (std::size_t i = 0; i < frame.scan.rays.size(); ++i)
@@ -39,7 +35,7 @@ std::size_t points_in(const LidarSequence& log, const LidarFrame& frame, const B
 TEST(Kitti360, PointsStandInTheWorldWhereTheyWere) {
     const Kitti360Folder kitti("k360");
     EXPECT_EQ(detect_dataset_kind(kitti.folder), "kitti360");
-    const LidarSequence log = read(kitti);
+    const LidarSequence log = kitti.load();
     ASSERT_EQ(log.frames.size(), 3u);
     EXPECT_TRUE(log.rolling_shutter);
     EXPECT_EQ(log.frames[0].index, Kitti360Folder::kFirst);
@@ -69,7 +65,7 @@ TEST(Kitti360, PointsStandInTheWorldWhereTheyWere) {
 
 TEST(Kitti360, BoxesHoldWhatWasLabelled) {
     const Kitti360Folder kitti("k360_boxes");
-    const LidarSequence log = read(kitti);
+    const LidarSequence log = kitti.load();
     ASSERT_EQ(log.boxes.size(), 2u);
     const BoxTrack &driving = log.boxes[0], &standing = log.boxes[1];
     EXPECT_EQ(driving.id, "13005");
@@ -104,85 +100,59 @@ TEST(Kitti360, LabelsAreXmlForOthers) {
 
 TEST(Kitti360, DrivesAndPartsHaveNames) {
     const Kitti360Folder kitti("k360_names");
-    DatasetOptions options;
-    options.sequence = "kd1";
-    LidarSequence log = read(kitti, options);
+    const LidarSequence log = kitti.load({.sequence = "kd1"});
     ASSERT_EQ(log.frames.size(), 2u);
     EXPECT_EQ(log.frames[0].index, 2351);
     EXPECT_EQ(log.start_unix_ns, 1369730760904000000) << "2013-05-28 08:46:00.904";
     EXPECT_EQ(log.test_frames, (std::vector<int>{2360, 2370, 2380, 2390}));
-    options.frames = {2352, -1};
-    EXPECT_EQ(read(kitti, options).frames.size(), 1u);
-    options.frames = {0, 2351};
-    EXPECT_THROW(read(kitti, options), UsageError);
-    options.frames = {};
+    EXPECT_EQ(kitti.load({.sequence = "kd1", .frames = {2352, -1}}).frames.size(), 1u);
+    EXPECT_THROW(kitti.load({.sequence = "kd1", .frames = {0, 2351}}), UsageError);
     for (const char* name : {"0000", "2013_05_28_drive_0000_sync"}) {
-        options.sequence = name;
-        EXPECT_EQ(read(kitti, options).frames.size(), 3u);
-        EXPECT_TRUE(read(kitti, options).test_frames.empty()) << "nobody has published a split of the drive";
+        const LidarSequence named = kitti.load({.sequence = name});
+        EXPECT_EQ(named.frames.size(), 3u);
+        EXPECT_TRUE(named.test_frames.empty()) << "nobody has published a split of the drive";
     }
-    options.sequence = "ks2";
-    EXPECT_THROW(read(kitti, options), UsageError) << "frames that are not there";
-    options.sequence = "0003";
-    try {
-        read(kitti, options);
-        FAIL();
-    } catch (const UsageError& error) {
-        EXPECT_THAT(error.what(), Names("dataset.sequence ... '0003'"));
-        EXPECT_THAT(error.what(), Names("(2013_05_28_drive_0000_sync), or ks1"));
-    }
-    try {
-        load_sequence((kitti.folder / "data_3d_raw" / Kitti360Folder::kDrive).string(), {});
-        FAIL();
-    } catch (const DataError& error) {
-        EXPECT_THAT(error.what(), Names("drive ... KITTI-360"));
-    }
-    options.sequence = "0001";
-    EXPECT_THROW(load_sequence(kitti.sweeps.folder.string(), options), UsageError)
+    kitti.expect_error("dataset.sequence ... '0003' ... (2013_05_28_drive_0000_sync), or ks1",
+                       {.sequence = "0003"});
+    const fs::path drive = kitti.folder / "data_3d_raw" / Kitti360Folder::kDrive;
+    EXPECT_THAT(test::find_load_error(drive.string()), Names("drive ... KITTI-360"));
+    EXPECT_THROW(load_sequence(kitti.sweeps.folder.string(), {.sequence = "0001"}), UsageError)
         << "a KITTI raw drive is one";
 }
 
 TEST(Kitti360, MissingPartsAreErrorsOfUsage) {
     const Kitti360Folder kitti("k360_parts");
-    DatasetOptions part;
-    part.sequence = "kd2";
-    EXPECT_THROW(load_sequence(kitti.folder.string(), part), UsageError) << "no scan of it";
-    part.sequence = "0002";
-    EXPECT_THROW(load_sequence(kitti.folder.string(), part), UsageError) << "no such drive";
-    EXPECT_THROW(load_sequence("kitti360:" + kitti.folder.parent_path().string(), part), DataError);
+    EXPECT_THROW(kitti.load({.sequence = "kd2"}), UsageError) << "no scan of it";
+    EXPECT_THROW(kitti.load({.sequence = "ks2"}), UsageError) << "frames that are not there";
+    EXPECT_THROW(kitti.load({.sequence = "0002"}), UsageError) << "no such drive";
+    EXPECT_THROW(load_sequence("kitti360:" + kitti.folder.parent_path().string(), {}), DataError);
 }
 
 TEST(Kitti360, FramesWithoutAPose) {
     const Kitti360Folder kitti("k360_gaps");
     kitti.write_poses({2350, 2352});
-    LidarSequence log = read(kitti);
+    LidarSequence log = kitti.load();
     ASSERT_EQ(log.frames.size(), 3u);
     EXPECT_THAT(log.notes, Contains(Names("interpolated ... data_poses ... 2351")));
     const glm::dvec3 there(Kitti360Folder::compute_world_from_velo(2351)[3]);
     EXPECT_LT(glm::distance(log.world_from_vehicle.pose[1].translation + log.world_offset_m, there), 1e-3);
     kitti.write_poses({2345, 2351});  // six frames apart; half a second is five frames
-    log = read(kitti);
+    log = kitti.load();
     ASSERT_EQ(log.frames.size(), 1u);
     EXPECT_THAT(log.notes, Contains(Names("skipped ... pose ... 2350, 2352")));
     // Makes a long gap between poses during which the car does not move.
     const std::string line = read_text(kitti.poses());
     const std::string pose = line.substr(line.find(' '), line.find('\n') - line.find(' '));
     write_text(kitti.poses(), "2300" + pose + "\n2400" + pose + "\n");
-    EXPECT_EQ(read(kitti).frames.size(), 3u);
+    EXPECT_EQ(kitti.load().frames.size(), 3u);
     kitti.write_poses({100, 200});
-    try {
-        read(kitti);
-        FAIL();
-    } catch (const DataError& error) {
-        EXPECT_THAT(error.what(), Names("frames 2350 to 2352 ... pose ... 100 and 200"));
-    }
+    kitti.expect_error("frames 2350 to 2352 ... pose ... 100 and 200");
 }
 
 TEST(Kitti360, BoxesGoAlongWithOtherPoses) {
     const Kitti360Folder kitti("k360_poses");
-    DatasetOptions options;
-    options.poses_file = kNoPoses;
-    const LidarSequence none = read(kitti, options);
+    DatasetOptions options{.poses_file = kNoPoses};
+    const LidarSequence none = kitti.load(options);
     EXPECT_EQ(none.world_from_vehicle.pose[2].translation, glm::dvec3(0.0));
     ASSERT_EQ(none.boxes.size(), 2u);
     for (const Pose& pose : none.boxes[0].world_from_box.pose)
@@ -191,12 +161,12 @@ TEST(Kitti360, BoxesGoAlongWithOtherPoses) {
     for (int frame = 0; frame < 2353; ++frame) lines += fmt::format("1 0 0 {} 0 1 0 0 0 0 1 0\n", frame);
     options.poses_file = kitti.folder / "mine.txt";
     write_text(options.poses_file, lines);
-    const LidarSequence mine = read(kitti, options);
+    const LidarSequence mine = kitti.load(options);
     EXPECT_EQ(mine.world_offset_m, glm::dvec3(2351, 0, 0));
     EXPECT_LT(glm::distance(mine.boxes[0].world_from_box.pose[2].translation, glm::dvec3(10.5, 0, 0)), 1e-6);
     fs::remove_all(kitti.folder / "data_poses");
-    EXPECT_THAT(read(kitti, options).notes, Contains(Names("data_poses ... missing ... boxes")));
-    EXPECT_TRUE(read(kitti, options).boxes.empty());
+    EXPECT_THAT(kitti.load(options).notes, Contains(Names("data_poses ... missing ... boxes")));
+    EXPECT_TRUE(kitti.load(options).boxes.empty());
 }
 
 // Objects without numbers, as in drive 0004, must be identified by their labels. Drive
@@ -219,7 +189,7 @@ TEST(Kitti360, ObjectsWithoutNumbersGoByTheirLabels) {
                              test::make_object_xml(2, fields("pedestrian", 12, 2351), world_from_object) +
                              test::make_object_xml(3, fields("car", 13, -1), world_from_object) +
                              test::make_object_xml(4, fields("trafficSign", 14, -1), world_from_object)));
-    const LidarSequence log = read(kitti);
+    const LidarSequence log = kitti.load();
     ASSERT_EQ(log.boxes.size(), 2u);
     EXPECT_EQ(log.boxes[0].id, "car-13");
     EXPECT_EQ(log.boxes[0].world_from_box.pose.size(), 1u);
@@ -227,57 +197,40 @@ TEST(Kitti360, ObjectsWithoutNumbersGoByTheirLabels) {
     EXPECT_EQ(log.boxes[1].category, "person");
     EXPECT_EQ(log.boxes[1].world_from_box.pose.size(), 2u);
     fs::remove_all(kitti.folder / "data_3d_bboxes");
-    EXPECT_THAT(read(kitti).notes, Contains(Names("data_3d_bboxes ... missing ... labels")));
-}
-
-/// Changes a file, reads the log, expects an error, and restores the file.
-void expect_error(const Kitti360Folder& kitti, const fs::path& file, const std::string& text,
-                  const std::string& part) {
-    const std::string good = read_text(file);
-    write_text(file, text);
-    try {
-        read(kitti);
-        ADD_FAILURE() << "no failure, expected " << part;
-    } catch (const DataError& error) {
-        EXPECT_THAT(error.what(), Names(part));
-        EXPECT_EQ(std::string(error.what()).find('\n'), std::string::npos);
-    }
-    write_text(file, good);
+    EXPECT_THAT(kitti.load().notes, Contains(Names("data_3d_bboxes ... missing ... labels")));
 }
 
 TEST(Kitti360, SaysWhichFileIsWrong) {
     const Kitti360Folder kitti("k360_errors");
     const std::string poses = read_text(kitti.poses()), line = poses.substr(0, poses.find('\n') + 1);
-    expect_error(kitti, kitti.poses(), "", "poses.txt ... empty ... 12 numbers");
-    expect_error(kitti, kitti.poses(), line.substr(0, line.size() / 2), "poses.txt line 1: ");
-    expect_error(kitti, kitti.poses(), line + line,
-                 "poses.txt line 2 ... frame '2350' after 2350 ... increasing");
-    expect_error(kitti, kitti.poses(), "x" + line, "poses.txt line 1 ... frame 'x2350'");
-    expect_error(kitti, kitti.poses(), "2350 1 0 0 nan 0 1 0 0 0 0 1 0\n",
-                 "poses.txt line 1: number 4 is nan");
-    expect_error(kitti, kitti.poses(), "2350 1 0 0 0 0 1 0 0 0 0 2 0\n", "poses.txt line 1 ... rotation");
-    expect_error(kitti, kitti.calibration("calib_cam_to_pose.txt"), "image_01: 1\n",
-                 "calib_cam_to_pose.txt: the line 'image_00:' ... missing");
-    expect_error(kitti, kitti.calibration("calib_cam_to_velo.txt"), "1 0 0 0\n",
-                 "calib_cam_to_velo.txt line 1: found 4 numbers, expected 12");
-    expect_error(kitti, kitti.raw() / "timestamps.txt", "2013-05-28 08:46:02.9\n",
-                 "timestamps.txt ... consecutive ... one line with a time for each sweep");
-    expect_error(kitti, kitti.raw() / "timestamps.txt", "2013-05-28 08:46:02.9\n2013-05-28 08:47:02.9\n",
-                 "sweep ... 60 s");
-    expect_error(kitti, kitti.scan(2351), "", "0000002351.bin ... empty");
+    kitti.expect_error_with(kitti.poses(), "", "poses.txt ... empty ... 12 numbers");
+    kitti.expect_error_with(kitti.poses(), line.substr(0, line.size() / 2), "poses.txt line 1: ");
+    kitti.expect_error_with(kitti.poses(), line + line,
+                            "poses.txt line 2 ... frame '2350' after 2350 ... increasing");
+    kitti.expect_error_with(kitti.poses(), "x" + line, "poses.txt line 1 ... frame 'x2350'");
+    kitti.expect_error_with(kitti.poses(), "2350 1 0 0 nan 0 1 0 0 0 0 1 0\n",
+                            "poses.txt line 1: number 4 is nan");
+    kitti.expect_error_with(kitti.poses(), "2350 1 0 0 0 0 1 0 0 0 0 2 0\n", "poses.txt line 1 ... rotation");
+    kitti.expect_error_with(kitti.calibration("calib_cam_to_pose.txt"), "image_01: 1\n",
+                            "calib_cam_to_pose.txt: the line 'image_00:' ... missing");
+    kitti.expect_error_with(kitti.calibration("calib_cam_to_velo.txt"), "1 0 0 0\n",
+                            "calib_cam_to_velo.txt line 1: found 4 numbers, expected 12");
+    kitti.expect_error_with(kitti.raw() / "timestamps.txt", "2013-05-28 08:46:02.9\n",
+                            "timestamps.txt ... consecutive ... one line with a time for each sweep");
+    kitti.expect_error_with(kitti.raw() / "timestamps.txt", "2013-05-28 08:46:02.9\n2013-05-28 08:47:02.9\n",
+                            "sweep ... 60 s");
+    kitti.expect_error_with(kitti.scan(2351), "", "0000002351.bin ... empty");
     fs::remove(kitti.calibration("calib_cam_to_velo.txt"));
-    EXPECT_THROW(read(kitti), DataError);
+    EXPECT_THROW(kitti.load(), DataError);
     fs::remove_all(kitti.raw());
-    EXPECT_THROW(read(kitti), DataError);
+    EXPECT_THROW(kitti.load(), DataError);
 }
 
 TEST(Kitti360, SaysWhichBoxIsWrong) {
     const Kitti360Folder kitti("k360_box_errors");
     const std::string original = read_text(kitti.boxes());
     const auto expect = [&](const std::string& from, const std::string& to, const std::string& part) {
-        std::string text = original;
-        ASSERT_NE(text.find(from), std::string::npos) << from;
-        expect_error(kitti, kitti.boxes(), text.replace(text.find(from), from.size(), to), part);
+        kitti.expect_error_with(kitti.boxes(), test::replace_first(original, from, to), part);
     };
     expect("</opencv_storage>", "", ".xml ... malformed");
     expect("<semanticId>13</semanticId>", "<semanticId>x</semanticId>", "object0: semanticId is 'x'");
@@ -291,14 +244,14 @@ TEST(Kitti360, SaysWhichBoxIsWrong) {
     expect("<semanticId>13</semanticId>\n  <instanceId>7", "<semanticId>14</semanticId>\n  <instanceId>-995",
            "object3 ... truck ... 13005 ... car");
     write_text(kitti.boxes(), "<html/>");
-    expect_error(kitti, kitti.boxes(), "<html/>", ".xml: the element opencv_storage ... missing");
+    kitti.expect_error_with(kitti.boxes(), "<html/>", ".xml: the element opencv_storage ... missing");
     const glm::dmat4 sheared{{2, 0, 0, 0}, {1, 1, 0, 0}, {0, 0, 1, 0}, {0, 0, 0, 1}};
     const auto one = [](const glm::dmat4& matrix) {
         return test::make_boxes_xml(
             test::make_object_xml(0, test::make_object_fields("bus", 34, 1, 2351, 0, 0), matrix));
     };
-    expect_error(kitti, kitti.boxes(), one(sheared), "object0: transform ... rotation");
-    expect_error(kitti, kitti.boxes(), one(glm::dmat4(0.0)), "object0: ... transform ... 0 x 0 x 0 m");
+    kitti.expect_error_with(kitti.boxes(), one(sheared), "object0: transform ... rotation");
+    kitti.expect_error_with(kitti.boxes(), one(glm::dmat4(0.0)), "object0: ... transform ... 0 x 0 x 0 m");
 }
 
 }  // namespace

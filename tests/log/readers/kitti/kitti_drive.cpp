@@ -133,7 +133,8 @@ fs::path KittiDrive::scan(int frame) const {
 }
 
 KittiDrive::KittiDrive(const std::string& name, Heads heads)
-    : folder(fs::path(testing::TempDir()) / ("relidar_" + name) / "2011_12_31/2011_12_31_drive_0001_sync") {
+    : LogFolder("relidar_" + name, "2011_12_31/2011_12_31_drive_0001_sync") {
+    kind = "kitti_raw:";
     beams = make_beams();
     dropped = make_sweep_of(heads, 0).dropped;
     n_points = make_sweep_of(heads, 0).n_points;
@@ -155,11 +156,6 @@ KittiDrive::KittiDrive(const std::string& name, Heads heads)
     write_text(file("velodyne_points/timestamps_end.txt"), times[2]);
     write_text(file("tracklet_labels.xml"), make_tracklets());
     write_text(calibration(), "calib_time: 01-Jan-2012 00:00:00\nR: 1 0 0 0 1 0 0 0 1\nT: -0.8 0.3 -0.8\n");
-}
-
-KittiDrive::~KittiDrive() {
-    std::error_code failed;
-    fs::remove_all(folder.parent_path().parent_path(), failed);
 }
 
 }  // namespace relidar::test

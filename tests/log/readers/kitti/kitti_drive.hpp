@@ -13,32 +13,27 @@
 
 #include <relidar/log/sensor.hpp>
 
+#include "support/logs.hpp"
+
 namespace relidar::test {
 
 /// Encoder positions of the firings: at ticks, at even steps, or at random positions near
 /// even steps.
 enum class Heads { ticks, even, jittered };
 
-struct KittiDrive {
+struct KittiDrive : LogFolder {
     static constexpr int kFirings = 701;
 
-    std::filesystem::path folder;     ///< folder of the drive
     std::vector<Beam> beams;          ///< the 64 exact beams
     std::vector<glm::dvec3> dropped;  ///< exact direction of each ray without a return in frame 0
     std::size_t n_points = 0;         ///< in frame 0
 
     /// Writes a drive of three frames to a new temporary folder.
     explicit KittiDrive(const std::string& name, Heads heads = Heads::ticks);
-    ~KittiDrive();
-    KittiDrive(const KittiDrive&) = delete;
-    KittiDrive& operator=(const KittiDrive&) = delete;
 
     std::filesystem::path file(const std::string& relative) const { return folder / relative; }
     std::filesystem::path scan(int frame) const;
     std::filesystem::path calibration() const { return folder.parent_path() / "calib_imu_to_velo.txt"; }
 };
-
-void write_text(const std::filesystem::path& path, const std::string& text);
-std::string read_text(const std::filesystem::path& path);
 
 }  // namespace relidar::test

@@ -30,7 +30,7 @@ using test::KittiDrive;
 
 TEST(KittiRaw, RecoversTheSensorFromItsScans) {
     const KittiDrive drive("sensor");
-    const LidarSequence log = load_sequence("kitti_raw:" + drive.folder.string(), {});
+    const LidarSequence log = drive.load();
     EXPECT_EQ(log.lidars[0].sensor.columns, KittiDrive::kFirings);
     EXPECT_NEAR(log.lidars[0].sensor.period_s, 0.1, 1e-9);
     ASSERT_EQ(log.lidars[0].sensor.beams.size(), 64u);
@@ -47,7 +47,7 @@ TEST(KittiRaw, RecoversTheSensorFromItsScans) {
 
 TEST(KittiRaw, EveryPointAndEveryDropHasItsRay) {
     const KittiDrive drive("rays");
-    const LidarSequence log = load_sequence(drive.folder.string(), {});
+    const LidarSequence log = drive.load();
     const Scan& scan = log.frames[0].scan;
     ASSERT_EQ(scan.rays.rows, 64);
     ASSERT_EQ(scan.rays.columns, KittiDrive::kFirings);
@@ -99,28 +99,28 @@ TEST(KittiRaw, LaserWithoutReturnsInOneScan) {
     };
     while (!(y(end - 16) < 0.0f && y(end) >= 0.0f)) end += 16;
     test::write_text(drive.scan(1), original.substr(end));
-    const Scan scan = load_sequence(drive.folder.string(), {}).frames[1].scan;
+    const Scan scan = drive.load().frames[1].scan;
     EXPECT_EQ(scan.count_returns(), (original.size() - end) / 16);
     for (int c = 0; c < KittiDrive::kFirings; ++c) EXPECT_EQ(scan.range_m[static_cast<std::size_t>(c)], 0.0f);
 }
 
+/// Distance of a frame to the next one in Mercator coordinates: s R dlon with s = cos 60.
+const double kStep_m = 0.5 * 6378137.0 * 1e-5 * kPi / 180;
+
 TEST(KittiRaw, PosesTimesAndBoxes) {
     const KittiDrive drive("poses");
-    const LidarSequence log = load_sequence(drive.folder.string(), {});
+    const LidarSequence log = drive.load();
     ASSERT_EQ(log.frames.size(), 3u);
     EXPECT_NEAR(log.frames[2].time_s, 0.2, 1e-9);  // across midnight and New Year
     EXPECT_EQ(log.start_unix_ns, 1325375999850000000) << "2011-12-31 23:59:59.85";
     EXPECT_THAT(log.conventions, testing::HasSubstr("no time zone"));
-    // Distance of a step in Mercator coordinates: s R dlon with s = cos 60. The sensor
-    // does not move on the car.
-    const double step = 0.5 * 6378137.0 * 1e-5 * kPi / 180;
     const PoseTrack& track = log.world_from_vehicle;
     EXPECT_NEAR(track.pose[1].translation.x, 0.0, 1e-9);
-    EXPECT_NEAR(track.pose[2].translation.x - track.pose[1].translation.x, step, 1e-6);
+    EXPECT_NEAR(track.pose[2].translation.x - track.pose[1].translation.x, kStep_m, 1e-6);
     EXPECT_NEAR(track.pose[2].translation.y, 0.0, 1e-6);
     // The sensor is at -T = (0.8, -0.3, 0.8) in the frame of the car. The car is rotated
     // a quarter turn to the left.
-    EXPECT_NEAR(log.world_offset_m.x - step, 0.3, 1e-6);
+    EXPECT_NEAR(log.world_offset_m.x - kStep_m, 0.3, 1e-6);
     EXPECT_NEAR(log.world_offset_m.y, 0.8, 1e-6);
     EXPECT_NEAR(log.world_offset_m.z, 0.8, 1e-6);
     ASSERT_EQ(log.boxes.size(), 1u);
@@ -143,11 +143,10 @@ TEST(KittiRaw, PosesFileInTumOrder) {
         for (int k = -10; k < 30; ++k) text += fmt::format("{} 5 {} 0 {}\n", 0.1 * k, 0.8 * k, order);
         test::write_text(drive.file("poses.txt"), text);
     };
-    DatasetOptions options;
-    options.poses_file = drive.file("poses.txt");
+    const DatasetOptions options{.poses_file = drive.file("poses.txt")};
     for (const char* order : {"0 0 0.70710678 0.70710678", "0.70710678 0 0 0.70710678"}) {
         write(order);
-        const LidarSequence log = load_sequence(drive.folder.string(), options);
+        const LidarSequence log = drive.load(options);
         const Pose pose = log.world_from_vehicle.pose[2];
         EXPECT_NEAR(glm::distance(pose.rotation * glm::dvec3(1, 0, 0), glm::dvec3(0, 1, 0)), 0.0, 1e-6);
         EXPECT_NEAR(glm::distance(pose.translation + log.world_offset_m, glm::dvec3(5, 1.6, 0)), 0.0, 0.1);
@@ -158,21 +157,12 @@ TEST(KittiRaw, PosesFileInTumOrder) {
 
 TEST(KittiRaw, PosesFileFrameRangeAndMissingScans) {
     const KittiDrive drive("range");
-    std::filesystem::remove(drive.scan(1));
-    std::filesystem::remove(drive.file("tracklet_labels.xml"));
+    fs::remove(drive.scan(1));
+    fs::remove(drive.file("tracklet_labels.xml"));
     const auto poses = drive.file("poses.txt");
     test::write_text(poses, "1 0 0 0 0 1 0 0 0 0 1 0\n1 0 0 1 0 1 0 0 0 0 1 0\n0 -1 0 5 1 0 0 6 0 0 1 7\n");
-    DatasetOptions options;
-    options.poses_file = poses;
-    options.allow_missing_scans = false;
-    try {
-        load_sequence(drive.folder.string(), options);
-        FAIL() << "a hole in the log, and a complete one was asked for";
-    } catch (const DataError& error) {
-        EXPECT_THAT(error.what(), test::Names("missing (1)"));
-    }
-    options.allow_missing_scans = true;
-    LidarSequence log = load_sequence(drive.folder.string(), options);
+    drive.expect_error("missing (1)", {.poses_file = poses, .allow_missing_scans = false});
+    const LidarSequence log = drive.load({.poses_file = poses});
     ASSERT_EQ(log.frames.size(), 2u);
     EXPECT_EQ(log.frames[1].index, 2);
     EXPECT_NEAR(log.frames[1].time_s, 0.2, 1e-9);
@@ -180,12 +170,11 @@ TEST(KittiRaw, PosesFileFrameRangeAndMissingScans) {
     EXPECT_EQ(log.world_offset_m, glm::dvec3(5, 6, 7));
     const glm::dvec3 x = log.world_from_vehicle.pose[1].rotation * glm::dvec3(1, 0, 0);
     EXPECT_NEAR(x.y, 1.0, 1e-12);
-    options.frames = {2, -1};
-    EXPECT_EQ(load_sequence(drive.folder.string(), options).frames.size(), 1u);
+    EXPECT_EQ(drive.load({.frames = {2, -1}, .poses_file = poses}).frames.size(), 1u);
 }
 
 /// Empties the given lines of a file.
-void erase_lines(const std::filesystem::path& path, const std::vector<std::size_t>& numbers) {
+void erase_lines(const fs::path& path, const std::vector<std::size_t>& numbers) {
     const std::string original = test::read_text(path);
     std::string text, line;
     std::istringstream lines(original);
@@ -198,10 +187,10 @@ void erase_lines(const std::filesystem::path& path, const std::vector<std::size_
 // these scans in the three timestamp files are empty, but their OXTS files exist.
 TEST(KittiRaw, LoadsADriveWithoutSomeOfItsScans) {
     const KittiDrive drive("drive0009");
-    std::filesystem::remove(drive.scan(1));
+    fs::remove(drive.scan(1));
     for (const char* name : {"timestamps.txt", "timestamps_start.txt", "timestamps_end.txt"})
         erase_lines(drive.file(std::string("velodyne_points/") + name), {1});
-    const LidarSequence log = load_sequence(drive.folder.string(), {});
+    const LidarSequence log = drive.load();
     ASSERT_EQ(log.frames.size(), 2u);
     EXPECT_EQ(log.frames[1].index, 2);
     EXPECT_NEAR(log.frames[1].time_s - log.frames[0].time_s, 0.2, 1e-9);
@@ -209,9 +198,8 @@ TEST(KittiRaw, LoadsADriveWithoutSomeOfItsScans) {
     EXPECT_THAT(log.notes, testing::Contains(test::Names("1 ... 0 to 2 ... missing (1)")));
     // frames are missing, so the number of a frame differs from its index; the pose must
     // be read from the OXTS file with the frame's number
-    const double step = 0.5 * 6378137.0 * 1e-5 * kPi / 180;
     EXPECT_NEAR(log.world_from_vehicle.pose[1].translation.x - log.world_from_vehicle.pose[0].translation.x,
-                2 * step, 1e-6);
+                2 * kStep_m, 1e-6);
     ASSERT_EQ(log.boxes.size(), 1u);
     ASSERT_EQ(log.boxes[0].world_from_box.pose.size(), 1u);  // labelled in frames 1 and 2
     EXPECT_DOUBLE_EQ(log.boxes[0].world_from_box.time_s[0], log.frames[1].time_s);
@@ -219,10 +207,10 @@ TEST(KittiRaw, LoadsADriveWithoutSomeOfItsScans) {
 
 TEST(KittiRaw, TimesAreCountedFromTheFirstLineThatHasOne) {
     const KittiDrive drive("headless");
-    std::filesystem::remove(drive.scan(0));
+    fs::remove(drive.scan(0));
     for (const char* name : {"timestamps.txt", "timestamps_start.txt", "timestamps_end.txt"})
         erase_lines(drive.file(std::string("velodyne_points/") + name), {0});
-    const LidarSequence log = load_sequence(drive.folder.string(), {});
+    const LidarSequence log = drive.load();
     EXPECT_NEAR(log.frames[0].time_s, 0.0, 1e-9);
     EXPECT_NEAR(log.frames[1].time_s, 0.1, 1e-9);
     EXPECT_EQ(log.start_unix_ns, 1325375999950000000);
@@ -233,22 +221,21 @@ TEST(KittiRaw, CalibrationBesideAboveOrInItsArchive) {
          {"calib_imu_to_velo.txt", "calib/calib_imu_to_velo.txt",
           "../2011_12_31_calib/2011_12_31/calib_imu_to_velo.txt", "../../calib_imu_to_velo.txt"}) {
         const KittiDrive drive("calibration_places");
-        const glm::dvec3 usual = load_sequence(drive.folder.string(), {}).world_offset_m;
+        const glm::dvec3 usual = drive.load().world_offset_m;
         const std::string text = test::read_text(drive.calibration());
-        std::filesystem::remove(drive.calibration());
+        fs::remove(drive.calibration());
         test::write_text(drive.file(calibration_path), text);
-        EXPECT_EQ(load_sequence(drive.folder.string(), {}).world_offset_m, usual) << calibration_path;
+        EXPECT_EQ(drive.load().world_offset_m, usual) << calibration_path;
     }
 }
 
 TEST(KittiRaw, WithoutPosesAndTracklets) {
     const KittiDrive drive("no_poses");
-    const LidarSequence original = load_sequence(drive.folder.string(), {});
-    std::filesystem::remove_all(drive.file("oxts"));
-    std::filesystem::remove(drive.calibration());
-    DatasetOptions options;
-    options.poses_file = kNoPoses;
-    LidarSequence log = load_sequence(drive.folder.string(), options);
+    const LidarSequence original = drive.load();
+    fs::remove_all(drive.file("oxts"));
+    fs::remove(drive.calibration());
+    const DatasetOptions options{.poses_file = kNoPoses};
+    LidarSequence log = drive.load(options);
     EXPECT_THAT(log.notes, testing::Contains(test::Names("poses ... read")));
     for (std::size_t i = 0; i < 3; ++i) {
         EXPECT_EQ(log.world_from_vehicle.pose[i].translation, glm::dvec3(0.0));
@@ -262,17 +249,15 @@ TEST(KittiRaw, WithoutPosesAndTracklets) {
         EXPECT_NEAR(glm::distance(log.boxes[0].world_from_box.pose[k].translation,
                                   original.boxes[0].world_from_box.pose[k].translation),
                     0.0, 1e-9);
-    std::filesystem::remove(drive.file("tracklet_labels.xml"));
-    log = load_sequence(drive.folder.string(), options);
+    fs::remove(drive.file("tracklet_labels.xml"));
+    log = drive.load(options);
     EXPECT_THAT(log.notes, testing::Contains(test::Names("tracklet_labels.xml ... missing")));
     EXPECT_TRUE(log.boxes.empty());
 }
 
 TEST(KittiRaw, ReturnsBeyondTheLimitAreDropped) {
     const KittiDrive drive("limit");
-    DatasetOptions options;
-    options.max_range_m = 10.0;
-    const Scan scan = load_sequence(drive.folder.string(), options).frames[0].scan;
+    const Scan scan = drive.load({.max_range_m = 10.0}).frames[0].scan;
     EXPECT_LT(scan.count_returns(), drive.n_points * 3 / 4);
     EXPECT_LT(*std::max_element(scan.range_m.begin(), scan.range_m.end()), 10.3f);
 }
@@ -291,9 +276,7 @@ TEST(KittiRaw, SeesAsFarAsItsFarthestReturn) {
         }
         test::write_text(drive.scan(frame), bytes);
     }
-    DatasetOptions options;
-    options.max_range_m = INFINITY;
-    const LidarSequence log = load_sequence(drive.folder.string(), options);
+    const LidarSequence log = drive.load({.max_range_m = INFINITY});
     double offset_m = 0.0;  // ranges start at the origin of a beam, not at the sensor
     for (const Beam& beam : drive.beams)
         offset_m = std::max(offset_m, 16.0 * glm::length(glm::dvec3(beam.origin_offset_m, beam.origin_up_m,
@@ -306,12 +289,16 @@ TEST(KittiRaw, SeesAsFarAsItsFarthestReturn) {
     EXPECT_THAT(log.notes, testing::Contains(test::Names("limit ... unknown")));
 }
 
-TEST(KittiRaw, RealDrive) {
+class KittiRawReal : public testing::Test {
+protected:
+    void SetUp() override {
+        if (!folder) GTEST_SKIP() << "RELIDAR_KITTI_DRIVE names no KITTI raw drive";
+    }
     const char* folder = std::getenv("RELIDAR_KITTI_DRIVE");
-    if (!folder) GTEST_SKIP() << "RELIDAR_KITTI_DRIVE names no KITTI raw drive";
-    DatasetOptions options;
-    options.frames = {0, 12};
-    const LidarSequence log = load_sequence(folder, options);
+};
+
+TEST_F(KittiRawReal, Drive) {
+    const LidarSequence log = load_sequence(folder, {.frames = {0, 12}});
     ASSERT_EQ(log.frames.size(), 12u);
     EXPECT_NEAR(log.lidars[0].sensor.columns, 2152, 10);
     EXPECT_NEAR(log.lidars[0].sensor.beams[0].elevation_rad * 180 / kPi, 1.94, 0.02);
@@ -361,12 +348,8 @@ std::size_t count_missing(const std::vector<glm::vec3>& points, std::vector<glm:
     }));
 }
 
-TEST(KittiRaw, RealScansKeepTheirPointsOnTheNativeGrid) {
-    const char* folder = std::getenv("RELIDAR_KITTI_DRIVE");
-    if (!folder) GTEST_SKIP() << "RELIDAR_KITTI_DRIVE names no KITTI raw drive";
-    DatasetOptions options;
-    options.frames = {0, 12};
-    const LidarSequence log = load_sequence(folder, options);
+TEST_F(KittiRawReal, ScansKeepTheirPointsOnTheNativeGrid) {
+    const LidarSequence log = load_sequence(folder, {.frames = {0, 12}});
     std::size_t all = 0, lost_native = 0, lost_grid = 0;
     for (const LidarFrame& frame : log.frames) {
         const fs::path file =
@@ -393,12 +376,8 @@ TEST(KittiRaw, RealScansKeepTheirPointsOnTheNativeGrid) {
 /// Tests a property of real scans that the setting render.follow_sweeps needs. If the
 /// nominal rays of each firing are rotated together, they must equal the rays of the
 /// scan, including dropped rays.
-TEST(KittiRaw, RealScansHaveOneAzimuthAFiring) {
-    const char* folder = std::getenv("RELIDAR_KITTI_DRIVE");
-    if (!folder) GTEST_SKIP() << "RELIDAR_KITTI_DRIVE names no KITTI raw drive";
-    DatasetOptions options;
-    options.frames = {40, 44};
-    const LidarSequence log = load_sequence(folder, options);
+TEST_F(KittiRawReal, ScansHaveOneAzimuthAFiring) {
+    const LidarSequence log = load_sequence(folder, {.frames = {40, 44}});
     for (const LidarFrame& frame : log.frames) {
         const SpinningSensor& sensor = log.get_lidar(frame).sensor;
         const RayTable nominal = make_rays(sensor),

@@ -50,7 +50,7 @@ void expect_mulran_truth(const MulranFolder& data, const LidarSequence& sequence
 TEST(Mulran, EveryReturnIsWhereItWasMeasured) {
     const MulranFolder data("KAIST01");
     EXPECT_EQ(detect_dataset_kind(data.folder), "mulran");
-    const LidarSequence sequence = load_sequence(data.folder.string(), {});
+    const LidarSequence sequence = data.load();
     EXPECT_EQ(sequence.name, "MulRan KAIST01");
     EXPECT_EQ(sequence.start_unix_ns, MulranFolder::stamp(0)) << "of the skipped scan";
     ASSERT_EQ(sequence.frames.size(), 3u);
@@ -74,28 +74,22 @@ TEST(Mulran, PointsRingByRingInTheOtherFolder) {
     const MulranFolder data("ring-by-ring", false);
     fs::create_directory(data.folder / "sensor_data");
     fs::rename(data.folder / "Ouster", data.folder / "sensor_data/Ouster");
-    const LidarSequence sequence = load_sequence(data.folder.string(), {});
+    const LidarSequence sequence = data.load();
     ASSERT_EQ(sequence.frames.size(), 3u);
     expect_mulran_truth(data, sequence);
 }
 
 TEST(Mulran, FramesAndOtherPoses) {
     const MulranFolder data("frames");
-    DatasetOptions options;
-    options.frames = {2, 3};
-    const LidarSequence one = load_sequence(data.folder.string(), options);
+    const LidarSequence one = data.load({.frames = {2, 3}});
     ASSERT_EQ(one.frames.size(), 1u);
     EXPECT_NEAR(one.frames[0].time_s, 0.2, 1e-9) << "after the log's first scan";
-    options.frames = {0, 1};
-    data.expect_error("global_pose.csv ... 0.046 to 0.356 s ... frames 0 to 0", options);
-    options = {};
-    options.poses_file = kNoPoses;
-    EXPECT_EQ(load_sequence(data.folder.string(), options).frames.size(), 4u);
+    data.expect_error("global_pose.csv ... 0.046 to 0.356 s ... frames 0 to 0", {.frames = {0, 1}});
+    EXPECT_EQ(data.load({.poses_file = kNoPoses}).frames.size(), 4u);
     test::write_text(data.folder / "mine.txt",
                      "1 0 0 5 0 1 0 0 0 0 1 0\n1 0 0 6 0 1 0 0 0 0 1 0\n1 0 0 7 0 1 0 0 0 0 1 0\n"
                      "1 0 0 8 0 1 0 0 0 0 1 0\n");
-    options.poses_file = data.folder / "mine.txt";
-    EXPECT_EQ(load_sequence(data.folder.string(), options).world_offset_m, glm::dvec3(7, 0, 0));
+    EXPECT_EQ(data.load({.poses_file = data.folder / "mine.txt"}).world_offset_m, glm::dvec3(7, 0, 0));
 }
 
 TEST(Mulran, PosesOfSomethingElseAreTold) {
@@ -109,8 +103,7 @@ TEST(Mulran, PosesOfSomethingElseAreTold) {
                              x.x, y.x, t.x, x.y, y.y, t.y, t.z);
     }
     test::write_text(data.poses(), lines);
-    EXPECT_THAT(load_sequence(data.folder.string(), {}).notes,
-                testing::Contains(test::Names("drives ... (-0.00, -1.00, 0.00)")));
+    EXPECT_THAT(data.load().notes, testing::Contains(test::Names("drives ... (-0.00, -1.00, 0.00)")));
 }
 
 TEST(Mulran, BrightPointsAreCut) {
@@ -119,37 +112,34 @@ TEST(Mulran, BrightPointsAreCut) {
     const float bright = 6000.0f;
     bytes.replace(12, 4, reinterpret_cast<const char*>(&bright), 4);
     test::write_text(data.scan(1), bytes);
-    const LidarSequence sequence = load_sequence(data.folder.string(), {});
+    const LidarSequence sequence = data.load();
     EXPECT_THAT(sequence.notes,
                 testing::Contains(test::Names("intensities ... 6000 ... 200 ... 99.5th percentile")));
 }
 
 TEST(Mulran, SaysWhichFileAndLineIsWrong) {
     const MulranFolder data("errors");
-    const std::string good = test::read_text(data.poses());
-    const auto with = [&](std::size_t line, const std::string& text, const std::string& part) {
+    const auto with = [&](std::size_t line, const std::string& text, const std::string& parts) {
+        const std::string good = test::read_text(data.poses());
         std::size_t at = 0;
         for (std::size_t l = 1; l < line; ++l) at = good.find('\n', at) + 1;
-        test::write_text(data.poses(), std::string(good).replace(at, good.find('\n', at) - at, text));
-        data.expect_error(part);
+        data.expect_error_with(data.poses(), std::string(good).replace(at, good.find('\n', at) - at, text),
+                               parts);
     };
     with(2, "1561000444446857630,1,0,0", "global_pose.csv line 2: found 4 cells ... time ... 12 numbers");
     with(2, "1561000444446857631,1,0,0,0,0,1,0,0,0,0,x,0", "global_pose.csv line 2: cell 12 is 'x'");
     with(3, "1561000444456857631,2,0,0,0,0,1,0,0,0,0,1,0", "global_pose.csv line 3 ... rotation");
     with(3, "5,1,0,0,0,0,1,0,0,0,0,1,0", "global_pose.csv line 3 ... time 5 ... 1561000444446857630");
     with(3, "x,1,0,0,0,0,1,0,0,0,0,1,0", "global_pose.csv line 3: found 'x' ... time");
-    test::write_text(data.poses(), good);
     const std::string bytes = test::read_text(data.scan(2)), first = test::read_text(data.scan(1));
-    test::write_text(data.scan(1), std::string(first).erase(16 * 30000, 160) + first.substr(16 * 30000, 160));
-    data.expect_error("degrees ... 1 ... sorted");
-    test::write_text(data.scan(1), first);
-    test::write_text(data.scan(2), bytes.substr(0, 1600));
-    data.expect_error(fmt::format("{}.bin has 100 points, expected 64 x 1024", MulranFolder::stamp(2)));
+    data.expect_error_with(data.scan(1),
+                           std::string(first).erase(16 * 30000, 160) + first.substr(16 * 30000, 160),
+                           "degrees ... 1 ... sorted");
+    data.expect_error_with(data.scan(2), bytes.substr(0, 1600),
+                           fmt::format("{}.bin has 100 points, expected 64 x 1024", MulranFolder::stamp(2)));
     test::write_text(data.scan(2), bytes.substr(0, 1601));
     data.expect_error("1601 bytes ... multiple ... 16");
-    DatasetOptions options;
-    options.skip_broken = true;
-    EXPECT_EQ(load_sequence(data.folder.string(), options).frames.size(), 2u);
+    EXPECT_EQ(data.load({.skip_broken = true}).frames.size(), 2u);
     fs::remove(data.poses());
     data.expect_error("global_pose.csv: no such file");
     fs::remove_all(data.folder / "Ouster");

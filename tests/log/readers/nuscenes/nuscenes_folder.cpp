@@ -4,6 +4,7 @@
 #include <cmath>
 
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 #include <gtest/gtest.h>
 
 #include "base/random.hpp"
@@ -21,17 +22,6 @@ constexpr glm::dvec3 kMap_m(411.3, 1180.9, 0.0);
 Pose mounted() {
     return {glm::normalize(glm::dquat(0.7077955, -0.0064922, 0.0106464, -0.7063073)),
             {0.943713, 0.0, 1.84023}};
-}
-
-std::string format_pose_keys(const Pose& pose) {
-    const glm::dquat& q = pose.rotation;
-    const glm::dvec3& t = pose.translation;
-    return fmt::format("\"translation\": [{}, {}, {}], \"rotation\": [{}, {}, {}, {}]", t.x, t.y, t.z, q.w,
-                       q.x, q.y, q.z);
-}
-
-std::string make_json_table(const std::vector<std::string>& records) {
-    return fmt::format("[\n{{{}}}\n]", fmt::join(records, "},\n{"));
 }
 
 std::int64_t time_us(int sweep) { return kFirst_us + sweep * 50000; }
@@ -76,6 +66,17 @@ std::string make_turn(int sweep, int columns, std::vector<NuscenesRay>& rays) {
 
 }  // namespace
 
+std::string format_pose_keys(const Pose& pose) {
+    const glm::dquat& q = pose.rotation;
+    const glm::dvec3& t = pose.translation;
+    return fmt::format("\"translation\": [{}, {}, {}], \"rotation\": [{}, {}, {}, {}]", t.x, t.y, t.z, q.w,
+                       q.x, q.y, q.z);
+}
+
+void write_records(const fs::path& table, const std::vector<std::string>& records) {
+    write_text(table, fmt::format("[\n{{{}}}\n]", fmt::join(records, "},\n{")));
+}
+
 Pose NuscenesFolder::compute_vehicle_pose(double time_s) {
     return {glm::angleAxis(0.6 - 0.35 * time_s, glm::dvec3(0, 0, 1)),
             kMap_m + time_s * glm::dvec3(24.0, 9.0, 0.0)};
@@ -92,9 +93,9 @@ fs::path NuscenesFolder::sweep(int number) const {
 }
 
 NuscenesFolder::NuscenesFolder(const std::string& name, int n_columns)
-    : folder(fs::path(testing::TempDir()) / ("relidar_nuscenes_" + name)), columns(n_columns), rays(kSweeps) {
+    : LogFolder("relidar_nuscenes_" + name), columns(n_columns), rays(kSweeps) {
     const auto write = [&](const char* of, const std::vector<std::string>& records) {
-        write_text(table(of), make_json_table(records));
+        write_records(table(of), records);
     };
     write("scene", {"\"token\": \"s0\", \"name\": \"scene-0061\", \"first_sample_token\": \"k9\", "
                     "\"description\": \"[a] \\\"{quoted}\\\"\"",
@@ -141,11 +142,6 @@ NuscenesFolder::NuscenesFolder(const std::string& name, int n_columns)
                        "\"token\": \"car\", \"category_token\": \"vehicle\""});
     write("category", {"\"token\": \"animal\", \"name\": \"animal\"",
                        "\"token\": \"vehicle\", \"name\": \"vehicle.car\""});
-}
-
-NuscenesFolder::~NuscenesFolder() {
-    std::error_code failed;
-    fs::remove_all(folder, failed);
 }
 
 }  // namespace relidar::test

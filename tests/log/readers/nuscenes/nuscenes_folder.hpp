@@ -8,8 +8,14 @@
 #include <vector>
 
 #include <relidar/base/math.hpp>
+#include "support/logs.hpp"
 
 namespace relidar::test {
+
+/// Returns the members "translation" and "rotation" of a record.
+std::string format_pose_keys(const Pose& pose);
+/// Writes a table of records, without their braces.
+void write_records(const std::filesystem::path& table, const std::vector<std::string>& records);
 
 /// A single firing of a laser.
 struct NuscenesRay {
@@ -21,20 +27,16 @@ struct NuscenesRay {
     bool returned = false;
 };
 
-struct NuscenesFolder {
+struct NuscenesFolder : LogFolder {
     static constexpr int kSweeps = 11;  ///< every tenth sweep is a keyframe
     static constexpr double kSweep_s = 0.05;
 
-    std::filesystem::path folder;
     int columns = 0;
     std::vector<std::vector<NuscenesRay>> rays;  ///< [sweep] column by column, 32 from the lowest beam up
 
     /// Writes a new temporary folder.
     /// @param columns columns per turn
     explicit NuscenesFolder(const std::string& name, int columns = 360);
-    ~NuscenesFolder();
-    NuscenesFolder(const NuscenesFolder&) = delete;
-    NuscenesFolder& operator=(const NuscenesFolder&) = delete;
 
     std::filesystem::path table(const std::string& name) const {
         return folder / "v1.0-mini" / (name + ".json");

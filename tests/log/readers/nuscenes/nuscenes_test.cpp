@@ -22,10 +22,11 @@ namespace fs = std::filesystem;
 using test::NuscenesFolder;
 using test::NuscenesRay;
 
-LidarSequence load(const NuscenesFolder& data, const std::string& scene = "scene-0103",
-                   DatasetOptions options = {}) {
-    options.sequence = scene;
-    return load_sequence(data.folder.string(), options);
+const DatasetOptions kScene{.sequence = "scene-0103"};
+
+LidarSequence load(const NuscenesFolder& data, DatasetOptions options = {}) {
+    if (options.sequence.empty()) options.sequence = "scene-0103";
+    return data.load(options);
 }
 
 /// Returns the interpolation error of the LiDAR's position. The position is interpolated
@@ -120,18 +121,7 @@ TEST(Nuscenes, RefusesDamagedLabelsOfPoints) {
     const NuscenesFolder data("bad_lidarseg", 40);
     write_categories(data);
     const fs::path file = data.folder / "lidarseg/v1.0-mini/10_lidarseg.bin";
-    const auto error_of_load = [&] {
-        try {
-            load(data);
-            return std::string("no error");
-        } catch (const DataError& error) {
-            return std::string(error.what());
-        }
-    };
-    test::write_text(file, "123");
-    EXPECT_THAT(
-        error_of_load(),
-        testing::HasSubstr("10_lidarseg.bin has 3 bytes, expected one byte for each of the 1280 points"));
+    data.expect_error_with(file, "123", "10_lidarseg.bin has 3 bytes ... 1280 points", kScene);
     fs::remove(file);
     const LidarSequence log = load(data);
     EXPECT_THAT(log.notes,
@@ -140,9 +130,7 @@ TEST(Nuscenes, RefusesDamagedLabelsOfPoints) {
     EXPECT_FALSE(log.frames[0].scan.classes.empty());
     test::write_text(data.table("category"),
                      R"([{"token": "vehicle", "name": "vehicle.car", "index": 256}])");
-    EXPECT_THAT(
-        error_of_load(),
-        testing::HasSubstr("key 'index': found 256 for the category 'vehicle.car', expected 0 to 255"));
+    data.expect_error("key 'index': found 256 for the category 'vehicle.car', expected 0 to 255", kScene);
 }
 
 TEST(Nuscenes, TablesOfT4) {
@@ -167,46 +155,31 @@ TEST(Nuscenes, TimesPosesAndBoxesBetweenKeyframes) {
     EXPECT_EQ(actual.start_unix_ns, 1533151603547590000);
     for (std::size_t i = 0; i < actual.frames.size(); ++i) {
         EXPECT_NEAR(actual.frames[i].time_s, double(i) * NuscenesFolder::kSweep_s, 1e-9);
-        const Pose truth = NuscenesFolder::compute_vehicle_pose(actual.frames[i].time_s),
-                   &pose = actual.world_from_vehicle.pose[i];
-        EXPECT_LT(glm::distance(pose.translation + actual.world_offset_m, truth.translation), 1e-8);
-        EXPECT_NEAR(std::abs(glm::dot(pose.rotation, truth.rotation)), 1.0, 1e-12);
+        test::expect_pose(actual, actual.world_from_vehicle.pose[i],
+                          NuscenesFolder::compute_vehicle_pose(actual.frames[i].time_s));
     }
     ASSERT_EQ(actual.boxes.size(), 1u) << "the dog is in another scene";
     const BoxTrack& box = actual.boxes[0];
     EXPECT_EQ(box.category, "vehicle.car");
     EXPECT_EQ(box.size_m, glm::dvec3(4.5, 1.9, 1.6)) << "length first";
     ASSERT_EQ(box.world_from_box.pose.size(), actual.frames.size());
-    for (std::size_t i = 0; i < actual.frames.size(); ++i) {
-        const Pose truth = NuscenesFolder::box_at(actual.frames[i].time_s),
-                   &pose = box.world_from_box.pose[i];
-        EXPECT_LT(glm::distance(pose.translation + actual.world_offset_m, truth.translation), 1e-8);
-        EXPECT_NEAR(std::abs(glm::dot(pose.rotation, truth.rotation)), 1.0, 1e-12);
-    }
+    for (std::size_t i = 0; i < actual.frames.size(); ++i)
+        test::expect_pose(actual, box.world_from_box.pose[i],
+                          NuscenesFolder::box_at(actual.frames[i].time_s));
 }
 
 TEST(Nuscenes, ScenesFramesAndPoses) {
     const NuscenesFolder data("scenes", 40);
-    EXPECT_EQ(load(data, "").name, "nuScenes scene-0061");
-    EXPECT_EQ(load(data, "").frames.size(), 1u);
-    EXPECT_EQ(load(data, "103").name, "nuScenes scene-0103");
-    try {
-        load(data, "scene-0104");
-        FAIL();
-    } catch (const UsageError& error) {
-        EXPECT_THAT(error.what(), test::Names("dataset.sequence 'scene-0104' ... scene-0061, scene-0103"));
-    }
-    DatasetOptions options;
-    options.frames = {3, 5};
-    const LidarSequence part = load(data, "103", options);
+    EXPECT_EQ(data.load().name, "nuScenes scene-0061");
+    EXPECT_EQ(data.load().frames.size(), 1u);
+    EXPECT_EQ(load(data, {.sequence = "103"}).name, "nuScenes scene-0103");
+    data.expect_error("dataset.sequence 'scene-0104' ... scene-0061, scene-0103", {.sequence = "scene-0104"});
+    const LidarSequence part = load(data, {.frames = {3, 5}});
     ASSERT_EQ(part.frames.size(), 2u);
     EXPECT_EQ(part.frames[0].index, 3);
     EXPECT_NEAR(part.frames[0].time_s, 0.15, 1e-9);
-    options.frames = {11, -1};
-    EXPECT_THROW(load(data, "103", options), UsageError);
-    options.frames = {};
-    options.poses_file = kNoPoses;
-    const LidarSequence unposed = load(data, "103", options);
+    EXPECT_THROW(load(data, {.frames = {11, -1}}), UsageError);
+    const LidarSequence unposed = load(data, {.poses_file = kNoPoses});
     EXPECT_EQ(unposed.world_from_vehicle.pose[4].translation, glm::dvec3(0.0));
     const glm::dvec3 box_in_vehicle_m =
         inverse(NuscenesFolder::compute_vehicle_pose(0.2)) * NuscenesFolder::box_at(0.2).translation;
@@ -219,16 +192,8 @@ TEST(Nuscenes, ScenesFramesAndPoses) {
 TEST(Nuscenes, KeyframesAlone) {
     const NuscenesFolder data("keyframes", 40);
     fs::remove(data.sweep(4));
-    try {
-        load(data);
-        ADD_FAILURE() << "a hole among sweeps is an error";
-    } catch (const DataError& error) {
-        EXPECT_THAT(error.what(), test::Names("turn_4.pcd.bin"));
-        EXPECT_THAT(error.what(), test::Names("use dataset.skip_broken=true"));
-    }
-    DatasetOptions options;
-    options.skip_broken = true;
-    EXPECT_EQ(load(data, "103", options).frames.size(), std::size_t(NuscenesFolder::kSweeps - 1));
+    data.expect_error("turn_4.pcd.bin ... use dataset.skip_broken=true", kScene);
+    EXPECT_EQ(load(data, {.skip_broken = true}).frames.size(), std::size_t(NuscenesFolder::kSweeps - 1));
     fs::remove_all(data.folder / "sweeps");
     const LidarSequence actual = load(data);
     EXPECT_THAT(actual.notes, testing::Contains(test::Names("keyframes")));
@@ -257,27 +222,16 @@ TEST(Nuscenes, KeyframesAlone) {
                       1e-4);
         }
     }
-    options.frames = {1, 10};
-    EXPECT_THROW(load(data, "103", options), UsageError);
+    EXPECT_THROW(load(data, {.frames = {1, 10}}), UsageError);
 }
 
 TEST(Nuscenes, SaysWhichRecordIsWrong) {
     const NuscenesFolder data("tables", 40);
     const auto expect = [&](const std::string& table, const std::string& from, const std::string& to,
                             const std::string& part) {
-        const std::string good = test::read_text(data.table(table));
-        std::string bad = good;
-        ASSERT_NE(bad.find(from), std::string::npos) << from;
-        test::write_text(data.table(table), bad.replace(bad.find(from), from.size(), to));
-        try {
-            load(data);
-            ADD_FAILURE() << "no failure, expected " << part;
-        } catch (const DataError& error) {
-            EXPECT_THAT(error.what(), test::Names(table + ".json"));
-            EXPECT_THAT(error.what(), test::Names(part));
-            EXPECT_EQ(std::string(error.what()).find('\n'), std::string::npos);
-        }
-        test::write_text(data.table(table), good);
+        const fs::path file = data.table(table);
+        data.expect_error_with(file, test::replace_first(test::read_text(file), from, to),
+                               table + ".json ... " + part, kScene);
     };
     expect("scene", "\"name\"", "\"nome\"", "record 0, key 'name': expected text");
     expect("sample_data", "\"timestamp\": 1533", "\"timestamp\": true, \"was\": 1533",
@@ -312,14 +266,8 @@ TEST(Nuscenes, SaysWhichRecordIsWrong) {
 TEST(Nuscenes, SaysWhichFileIsWrong) {
     const NuscenesFolder data("files", 40);
     const std::string good = test::read_text(data.sweep(4));
-    const auto expect = [&](const std::string& bytes, const std::string& part) {
-        test::write_text(data.sweep(4), bytes);
-        try {
-            load(data);
-            ADD_FAILURE() << "no failure, expected " << part;
-        } catch (const DataError& error) {
-            EXPECT_THAT(error.what(), testing::AllOf(test::Names("turn_4.pcd.bin"), test::Names(part)));
-        }
+    const auto expect = [&](const std::string& bytes, const std::string& parts) {
+        data.expect_error_with(data.sweep(4), bytes, "turn_4.pcd.bin ... " + parts, kScene);
     };
     const auto with = [&](std::size_t point, std::size_t field, float value) {
         std::string bytes = good;

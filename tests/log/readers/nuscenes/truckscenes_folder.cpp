@@ -12,7 +12,7 @@
 #include <gtest/gtest.h>
 
 #include "base/random.hpp"
-#include "log/readers/kitti/kitti_drive.hpp"
+#include "log/readers/nuscenes/nuscenes_folder.hpp"
 #include "log/readers/street/yard.hpp"
 
 namespace relidar::test {
@@ -26,19 +26,8 @@ std::int64_t compute_stamp_us(int sweep, double later_s) {
     return kFirst_us + sweep * 100000 + std::llround(later_s * 1e6);
 }
 
-std::string format_truck_pose(const Pose& pose) {
-    const glm::dquat& q = pose.rotation;
-    const glm::dvec3& t = pose.translation;
-    return fmt::format("\"translation\": [{}, {}, {}], \"rotation\": [{}, {}, {}, {}]", t.x, t.y, t.z, q.w,
-                       q.x, q.y, q.z);
-}
-
 glm::dquat make_rotation_about(double degrees, const glm::dvec3& axis) {
     return glm::angleAxis(degrees * kPi / 180.0, axis);
-}
-
-void write_truck_table(const fs::path& file, const std::vector<std::string>& records) {
-    write_text(file, fmt::format("[\n{{{}}}\n]", fmt::join(records, "},\n{")));
 }
 
 }  // namespace
@@ -99,9 +88,9 @@ void TruckScenesFolder::write_clouds(Lidar& lidar, double later_s) const {
 }
 
 void TruckScenesFolder::write_tables() const {
-    write_truck_table(table("scene"),
-                      {"\"token\": \"s0\", \"name\": \"scene-0044384af3d8494e913fb8b14915239e-3\"",
-                       "\"token\": \"s1\", \"name\": \"scene-ef1a21a0a9c14c9a9eb1b1a0c2ff1d10-7\""});
+    write_records(table("scene"),
+                  {"\"token\": \"s0\", \"name\": \"scene-0044384af3d8494e913fb8b14915239e-3\"",
+                   "\"token\": \"s1\", \"name\": \"scene-ef1a21a0a9c14c9a9eb1b1a0c2ff1d10-7\""});
     std::vector<std::string> samples, mounts;
     std::vector<std::string> sensors = {
         "\"token\": \"radar\", \"channel\": \"RADAR_LEFT_FRONT\", \"modality\": \"radar\""};
@@ -115,7 +104,7 @@ void TruckScenesFolder::write_tables() const {
         sensors.push_back(
             fmt::format("\"token\": \"{0}\", \"channel\": \"{0}\", \"modality\": \"lidar\"", lidar.channel));
         mounts.push_back(fmt::format("\"token\": \"on_{0}\", \"sensor_token\": \"{0}\", {1}", lidar.channel,
-                                     format_truck_pose(lidar.mounted)));
+                                     format_pose_keys(lidar.mounted)));
         for (int s = 0; s < kSweeps; ++s) {
             if (is_top && s == kMissing) continue;
             const int after = is_top && s + 1 == kMissing ? s + 2 : s + 1;
@@ -135,7 +124,7 @@ void TruckScenesFolder::write_tables() const {
         const std::int64_t after_us = kPoseOffset_us + e * kPoseStep_us;
         const Pose pose = compute_vehicle_pose(double(after_us) * 1e-6);
         poses.push_back(fmt::format("\"token\": \"e{}\", \"timestamp\": {}, {}", e, kFirst_us + after_us,
-                                    format_truck_pose(pose)));
+                                    format_pose_keys(pose)));
     }
     std::vector<std::string> labels;
     for (int k = 0; k < kSweeps; k += 5) {
@@ -143,20 +132,19 @@ void TruckScenesFolder::write_tables() const {
         labels.push_back(
             fmt::format("\"token\": \"a{0}\", \"sample_token\": \"k{0}\", \"instance_token\": \"van\", "
                         "\"size\": [2.1, 5.5, 2.4], {1}",
-                        k, format_truck_pose(box_at(time_s))));
+                        k, format_pose_keys(box_at(time_s))));
     }
-    write_truck_table(table("sample"), samples);
-    write_truck_table(table("sensor"), sensors);
-    write_truck_table(table("calibrated_sensor"), mounts);
-    write_truck_table(table("sample_data"), files);
-    write_truck_table(table("ego_pose"), poses);
-    write_truck_table(table("sample_annotation"), labels);
-    write_truck_table(table("instance"), {"\"token\": \"van\", \"category_token\": \"c\""});
-    write_truck_table(table("category"), {"\"token\": \"c\", \"name\": \"vehicle.other\""});
+    write_records(table("sample"), samples);
+    write_records(table("sensor"), sensors);
+    write_records(table("calibrated_sensor"), mounts);
+    write_records(table("sample_data"), files);
+    write_records(table("ego_pose"), poses);
+    write_records(table("sample_annotation"), labels);
+    write_records(table("instance"), {"\"token\": \"van\", \"category_token\": \"c\""});
+    write_records(table("category"), {"\"token\": \"c\", \"name\": \"vehicle.other\""});
 }
 
-TruckScenesFolder::TruckScenesFolder(const std::string& name)
-    : folder(fs::path(testing::TempDir()) / ("relidar_truckscenes_" + name)) {
+TruckScenesFolder::TruckScenesFolder(const std::string& name) : LogFolder("relidar_truckscenes_" + name) {
     Lidar left{"LIDAR_LEFT", {make_rotation_about(85.0, {0, 0, 1}), {1.2, 1.5, 3.1}}, {}, {}};
     for (const double e :
          {15.0, 11.0, 8.0, 5.0, 3.0, 2.0, 1.0, 0.0, -1.0, -2.0, -3.0, -4.0, -6.0, -9.0, -14.0, -19.0, -25.0})
@@ -171,11 +159,6 @@ TruckScenesFolder::TruckScenesFolder(const std::string& name)
     write_clouds(lidars[1], kLater_s);
     fs::remove(sweep("LIDAR_TOP_FRONT", kMissing));
     write_tables();
-}
-
-TruckScenesFolder::~TruckScenesFolder() {
-    std::error_code failed;
-    fs::remove_all(folder, failed);
 }
 
 }  // namespace relidar::test

@@ -8,6 +8,7 @@
 #include <vector>
 
 #include <relidar/base/math.hpp>
+#include "support/logs.hpp"
 
 namespace relidar::test {
 
@@ -19,7 +20,7 @@ struct TruckRay {
     bool returned = false;
 };
 
-struct TruckScenesFolder {
+struct TruckScenesFolder : LogFolder {
     static constexpr int kSweeps = 11;  ///< every fifth sweep is a keyframe
     static constexpr int kMissing = 4;  ///< sweep that LIDAR_TOP_FRONT lacks
     static constexpr int kColumns = 400;
@@ -33,14 +34,10 @@ struct TruckScenesFolder {
         std::vector<std::vector<TruckRay>> rays;  ///< [sweep] column by column, highest beam first
     };
 
-    std::filesystem::path folder;
     std::vector<Lidar> lidars;  ///< LIDAR_LEFT, LIDAR_TOP_FRONT
 
     /// Writes a new temporary folder.
     explicit TruckScenesFolder(const std::string& name);
-    ~TruckScenesFolder();
-    TruckScenesFolder(const TruckScenesFolder&) = delete;
-    TruckScenesFolder& operator=(const TruckScenesFolder&) = delete;
 
     std::filesystem::path table(const std::string& name) const {
         return folder / "v1.2-trainval" / (name + ".json");

@@ -48,7 +48,7 @@ void expect_once_truth(const OnceFolder& data, const LidarSequence& sequence) {
 TEST(Once, EveryReturnIsOnTheYard) {
     const OnceFolder data("000076");
     EXPECT_EQ(detect_dataset_kind(data.folder), "once");
-    const LidarSequence sequence = load_sequence(data.folder.string(), {});
+    const LidarSequence sequence = data.load();
     EXPECT_EQ(sequence.start_unix_ns, 1000000 * OnceFolder::stamp(0));
     EXPECT_EQ(sequence.name, "ONCE 000076");
     ASSERT_EQ(sequence.frames.size(), std::size_t(OnceFolder::kScans));
@@ -69,7 +69,7 @@ TEST(Once, EveryReturnIsOnTheYard) {
 
 TEST(Once, QuaternionsWithWFirst) {
     const OnceFolder data("w-first", true);
-    const LidarSequence sequence = load_sequence(data.folder.string(), {});
+    const LidarSequence sequence = data.load();
     EXPECT_THAT(sequence.notes, testing::Contains(test::Names("quaternions ... w")));
     expect_once_truth(data, sequence);
 }
@@ -87,43 +87,32 @@ TEST(Once, PointsOfAnotherLidar) {
         }
         test::write_text(data.scan(s), bytes);
     }
-    const LidarSequence sequence = load_sequence(data.folder.string(), {});
+    const LidarSequence sequence = data.load();
     EXPECT_EQ(sequence.frames[0].scan.rays.rows, 1) << "rays without order";
     EXPECT_THAT(sequence.notes, testing::Contains(test::Names("dropped")));
 }
 
 TEST(Once, FramesOtherPosesAndMissingScans) {
     const OnceFolder data("frames");
-    DatasetOptions options;
-    options.frames = {1, 3};
-    const LidarSequence some = load_sequence(data.folder.string(), options);
+    const LidarSequence some = data.load({.frames = {1, 3}});
     ASSERT_EQ(some.frames.size(), 2u);
     EXPECT_EQ(some.frames[0].index, 1);
     EXPECT_NEAR(some.frames[0].time_s, 0.5, 1e-9);
-    options.frames = {4, -1};
-    data.expect_error("ONCE ... [0, 3]", options);
+    data.expect_error("ONCE ... [0, 3]", {.frames = {4, -1}});
     fs::remove(data.scan(1));
-    const LidarSequence rest = load_sequence(data.folder.string(), {});
+    const LidarSequence rest = data.load();
     ASSERT_EQ(rest.frames.size(), 3u);
     EXPECT_EQ(rest.frames[1].index, 2);
     EXPECT_THAT(rest.notes, testing::Contains(test::Names("1 frames ... skipped")));
-    options = {};
-    options.allow_missing_scans = false;
-    data.expect_error("frames.json: 1 frames ... lidar_roof", options);
-    options = {};
-    options.poses_file = kNoPoses;
-    EXPECT_EQ(load_sequence(data.folder.string(), options).world_from_vehicle.pose[2].translation,
-              glm::dvec3(0.0));
+    data.expect_error("frames.json: 1 frames ... lidar_roof", {.allow_missing_scans = false});
+    EXPECT_EQ(data.load({.poses_file = kNoPoses}).world_from_vehicle.pose[2].translation, glm::dvec3(0.0));
 }
 
 TEST(Once, SaysWhichFileAndFieldIsWrong) {
     const OnceFolder data("errors");
     const std::string good = test::read_text(data.json());
     const auto with = [&](const std::string& from, const std::string& to, const std::string& part) {
-        std::string text = good;
-        test::write_text(data.json(), text.replace(text.find(from), from.size(), to));
-        data.expect_error(part);
-        test::write_text(data.json(), good);
+        data.expect_error_with(data.json(), test::replace_first(good, from, to), part);
     };
     const std::string second = "\"frame_id\": \"16165359667";
     with(second, "\"frame_id\": \"x16165359667", "errors.json: frames[1].frame_id ... 'x1616535966700'");

@@ -12,6 +12,8 @@
 #include <glm/gtc/matrix_transform.hpp>
 #include <protozero/pbf_writer.hpp>
 
+#include <relidar/base/math.hpp>
+
 #include "base/random.hpp"
 #include "log/readers/kitti/kitti_drive.hpp"
 
@@ -19,18 +21,11 @@ namespace relidar::test {
 namespace fs = std::filesystem;
 namespace {
 
-constexpr double kPi64 = 3.14159265358979323846;
-
-glm::dmat4 rotate_matrix(const glm::dmat4& matrix, double angle, const glm::dvec3& axis) {
-    return glm::rotate(matrix, angle, axis);
-}
-
 /// Returns Rz Ry Rx with a translation.
 glm::dmat4 make_euler_matrix(double roll, double pitch, double yaw, const glm::dvec3& translation) {
-    return rotate_matrix(
-        rotate_matrix(rotate_matrix(glm::translate(glm::dmat4(1.0), translation), yaw, {0, 0, 1}), pitch,
-                      {0, 1, 0}),
-        roll, {1, 0, 0});
+    const glm::dvec3 x(1, 0, 0), y(0, 1, 0), z(0, 0, 1);
+    const glm::dmat4 turned = glm::rotate(glm::translate(glm::dmat4(1.0), translation), yaw, z);
+    return glm::rotate(glm::rotate(turned, pitch, y), roll, x);
 }
 
 /// Returns roll, pitch, yaw, x, y and z of the vehicle at a time.
@@ -78,7 +73,7 @@ struct Rig {
 };
 
 glm::dmat4 make_side_extrinsic() { return make_euler_matrix(0.02, 0.01, 1.5, {3.2, 1.0, 0.7}); }
-constexpr double kSideLow = -kPi64 / 2, kSideHigh = kPi64 / 6;
+constexpr double kSideLow = -kPi / 2, kSideHigh = kPi / 6;
 
 Rig make_top_rig() {
     std::vector<double> rows = WaymoSegment::list_top_inclinations();
@@ -100,7 +95,7 @@ Rig make_side_rig() {
 /// dataset's tool.
 glm::dvec3 compute_pixel_direction(const Rig& rig, int row, int column) {
     const double yaw = std::atan2(rig.extrinsic[0][1], rig.extrinsic[0][0]);
-    const double azimuth = kPi64 * (2.0 * (rig.columns - column - 0.5) / rig.columns - 1.0) - yaw,
+    const double azimuth = kPi * (2.0 * (rig.columns - column - 0.5) / rig.columns - 1.0) - yaw,
                  up = rig.elevations[std::size_t(row)];
     return {std::cos(azimuth) * std::cos(up), std::sin(azimuth) * std::cos(up), std::sin(up)};
 }
@@ -212,13 +207,18 @@ std::string deflate_bytes(const std::string& bytes) {
     return packed;
 }
 
-std::string make_waymo_unpacked_matrix(const std::vector<float>& values, const std::vector<int>& dims) {
-    std::string text, shape;
+std::string make_waymo_shape(const std::vector<int>& dims) {
+    std::string shape;
     protozero::pbf_writer dimensions(shape);
     for (const int dim : dims) dimensions.add_int32(1, dim);
+    return shape;
+}
+
+std::string make_waymo_unpacked_matrix(const std::vector<float>& values, const std::vector<int>& dims) {
+    std::string text;
     protozero::pbf_writer matrix(text);
     matrix.add_packed_float(1, values.begin(), values.end());
-    matrix.add_message(2, shape);
+    matrix.add_message(2, make_waymo_shape(dims));
     return text;
 }
 
@@ -227,12 +227,10 @@ std::string make_waymo_matrix(const std::vector<float>& values, const std::vecto
 }
 
 std::string make_waymo_integer_matrix(const std::vector<int>& values, const std::vector<int>& dims) {
-    std::string text, shape;
-    protozero::pbf_writer dimensions(shape);
-    for (const int dim : dims) dimensions.add_int32(1, dim);
+    std::string text;
     protozero::pbf_writer matrix(text);
     matrix.add_packed_int32(1, values.begin(), values.end());
-    matrix.add_message(2, shape);
+    matrix.add_message(2, make_waymo_shape(dims));
     return deflate_bytes(text);
 }
 
@@ -310,8 +308,7 @@ double WaymoSegment::label_time_us(int frame) { return kStart_us + kPeriod_us * 
 glm::dmat4 WaymoSegment::get_world_from_parked() { return make_euler_matrix(0, 0, 0.7, {1206, -3389, 20.8}); }
 
 WaymoSegment::WaymoSegment(const std::string& name)
-    : folder(fs::path(testing::TempDir()) / ("relidar_" + name)),
-      file(folder / "segment-1083056_0001_with_camera_labels.tfrecord") {
+    : LogFolder("relidar_" + name), file(folder / "segment-1083056_0001_with_camera_labels.tfrecord") {
     const Rig top_of = make_top_rig(), side_of = make_side_rig();
     for (int i = 0; i < kFrames; ++i) {
         top.push_back(make_image(top_of, i));
@@ -335,11 +332,6 @@ WaymoSegment::WaymoSegment(const std::string& name)
                         make_waymo_label("sign", 3, {12, 5, 2}, {0.1, 0.8, 0.8}, 0.0)};
     }
     write();
-}
-
-WaymoSegment::~WaymoSegment() {
-    std::error_code failed;
-    fs::remove_all(folder, failed);
 }
 
 void WaymoSegment::write() const {

@@ -12,6 +12,8 @@
 
 #include <glm/glm.hpp>
 
+#include "support/logs.hpp"
+
 namespace relidar::test {
 
 /// Encoded fields of a Frame.
@@ -57,19 +59,16 @@ struct WaymoPixel {
     float intensity = 0.0f;  ///< as in Waymo, also above 1
 };
 
-struct WaymoSegment {
+struct WaymoSegment : LogFolder {
     static constexpr int kFrames = 3, kTopRows = 16, kTopColumns = 400, kSideRows = 12, kSideColumns = 60;
     static constexpr std::int64_t kStart_us = 1557240134500000, kPeriod_us = 100000;
 
-    std::filesystem::path folder, file;
+    std::filesystem::path file;
     std::vector<WaymoFrame> frames;
     std::vector<std::vector<WaymoPixel>> top, side;  ///< [frames][pixels]
 
     /// Writes folder/segment-1083056_0001_with_camera_labels.tfrecord.
     explicit WaymoSegment(const std::string& name);
-    ~WaymoSegment();
-    WaymoSegment(const WaymoSegment&) = delete;
-    WaymoSegment& operator=(const WaymoSegment&) = delete;
 
     void write() const;  ///< writes the current frames
 

@@ -30,9 +30,7 @@ LidarSequence read(const WaymoSegment& segment, const DatasetOptions& options = 
 
 TEST(Waymo, IntensitiesAreCutOrSquashed) {
     const WaymoSegment segment("waymo_intensity");
-    DatasetOptions options;
-    options.waymo.clamp_intensity = true;
-    const LidarSequence squashed = read(segment), cut = read(segment, options);
+    const LidarSequence squashed = read(segment), cut = read(segment, {.waymo = {.clamp_intensity = true}});
     int above_1 = 0;
     for (std::size_t i = 0; i < segment.top[0].size(); ++i) {
         const WaymoPixel& pixel = segment.top[0][i];
@@ -51,12 +49,8 @@ TEST(Waymo, IntensitiesAreCutOrSquashed) {
 
 TEST(Waymo, MissingPartsAreErrorsOfUsage) {
     const WaymoSegment segment("waymo_parts");
-    DatasetOptions part;
-    part.sequence = "wd1";
-    EXPECT_THROW(load_sequence(segment.folder.string(), part), UsageError)
-        << "its three records end before frame 148";
-    part.sequence = "ws1";
-    EXPECT_THROW(load_sequence(segment.folder.string(), part), UsageError) << "another segment";
+    EXPECT_THROW(segment.load({.sequence = "wd1"}), UsageError) << "its three records end before frame 148";
+    EXPECT_THROW(segment.load({.sequence = "ws1"}), UsageError) << "another segment";
 }
 
 /// Compares every pixel of a frame with its exact content.
@@ -165,33 +159,22 @@ TEST(Waymo, LabelsAreBoxesOfTheWorld) {
 TEST(Waymo, SegmentsFramesAndPoses) {
     const WaymoSegment segment("waymo_names");
     fs::copy_file(segment.file, segment.folder / "segment-9.tfrecord");
-    DatasetOptions options;
-    EXPECT_THAT(load_sequence(segment.folder.string(), options).notes,
-                testing::Contains(Names("2 segments")));
-    options.frames = {1, 2};
-    options.sequence = "9";
-    const LidarSequence one = load_sequence(segment.folder.string(), options);
+    EXPECT_THAT(segment.load().notes, testing::Contains(Names("2 segments")));
+    const LidarSequence one = segment.load({.sequence = "9", .frames = {1, 2}});
     EXPECT_EQ(one.name, "segment-9");
     EXPECT_EQ(one.start_unix_ns, 1000 * WaymoSegment::kStart_us);
     ASSERT_EQ(one.frames.size(), 2u);
     EXPECT_EQ(one.frames[0].index, 1);
     EXPECT_NEAR(one.frames[0].time_s, 0.15, 1e-9) << "counted from the segment's first firing";
-    options.sequence = "7";
-    EXPECT_THROW(load_sequence(segment.folder.string(), options), UsageError);
-    options.sequence = "";
-    options.frames = {3, -1};
-    EXPECT_THROW(read(segment, options), UsageError);
+    EXPECT_THROW(segment.load({.sequence = "7"}), UsageError);
+    EXPECT_THROW(read(segment, {.frames = {3, -1}}), UsageError);
     fs::copy_file(segment.file, segment.folder / "segment-113792_x.tfrecord");
-    options = {};
-    options.sequence = "ws1";
-    const LidarSequence paper = load_sequence(segment.folder.string(), options);
+    const LidarSequence paper = segment.load({.sequence = "ws1"});
     EXPECT_EQ(paper.name, "segment-113792_x");
     EXPECT_EQ(paper.lidars.size(), 1u) << "the paper renders TOP";
     ASSERT_EQ(paper.frames.size(), 2u);
     EXPECT_EQ(paper.frames[0].index, 1);
-    options = {};
-    options.poses_file = kNoPoses;
-    const LidarSequence none = read(segment, options);
+    const LidarSequence none = read(segment, {.poses_file = kNoPoses});
     EXPECT_EQ(none.world_from_vehicle.pose[2].translation, glm::dvec3(0.0));
     const glm::dmat4 from_world = glm::inverse(
         WaymoSegment::world_from_vehicle(WaymoSegment::kStart_us + 1.5 * WaymoSegment::kPeriod_us));
@@ -216,18 +199,6 @@ TEST(Waymo, OthersDecodeWhatTheWriterWrites) {
     EXPECT_THAT(test::read_text(text), Names("\n2: 1557240134600000\n"));
 }
 
-/// Returns the error message for a file with these bytes.
-std::string get_refusal(const WaymoSegment& segment, const std::string& bytes) {
-    test::write_text(segment.file, bytes);
-    try {
-        read(segment);
-    } catch (const DataError& error) {
-        EXPECT_EQ(std::string(error.what()).find('\n'), std::string::npos);
-        return error.what();
-    }
-    return "nothing";
-}
-
 TEST(Waymo, DamagedFilesAreRefused) {
     const WaymoSegment segment("waymo_damage");
     const std::string original = test::read_text(segment.file),
@@ -238,20 +209,20 @@ TEST(Waymo, DamagedFilesAreRefused) {
         bytes[at] = char(bytes[at] ^ 0x10);
         return bytes;
     };
-    EXPECT_THAT(get_refusal(segment, ""), Names(".tfrecord ... empty"));
-    EXPECT_THAT(get_refusal(segment, original.substr(0, first_size + 5)),
-                Names("record 1 ... truncated ... 5 bytes"));
-    EXPECT_THAT(get_refusal(segment, original.substr(0, original.size() - 1)),
-                Names("record 2 ... truncated ... length ... "));
-    EXPECT_THAT(get_refusal(segment, flipped(first_size + 100)), Names("record 1 ... checksum ... data"));
-    EXPECT_THAT(get_refusal(segment, flipped(first_size)), Names("record 1 ... checksum ... length"));
     const std::string absurd("\xff\xff\xff\xff\xff\xff\xff\x7f", 8);
     const std::string header =
         absurd + test::make_tfrecord(absurd).substr(20, 4);  // the CRC of these 8 bytes
-    EXPECT_THAT(get_refusal(segment, header + original),
-                Names("record 0 ... truncated ... 9223372036854775807 bytes"));
-    EXPECT_THAT(get_refusal(segment, test::make_tfrecord("not a message")), Names("record 0: "));
-    EXPECT_THAT(get_refusal(segment, test::make_tfrecord("")), Names("record 0 ... pose ... missing"));
+    const auto expect = [&](const std::string& bytes, const std::string& parts) {
+        segment.expect_error_with(segment.file, bytes, parts);
+    };
+    expect("", ".tfrecord ... empty");
+    expect(original.substr(0, first_size + 5), "record 1 ... truncated ... 5 bytes");
+    expect(original.substr(0, original.size() - 1), "record 2 ... truncated ... length ... ");
+    expect(flipped(first_size + 100), "record 1 ... checksum ... data");
+    expect(flipped(first_size), "record 1 ... checksum ... length");
+    expect(header + original, "record 0 ... truncated ... 9223372036854775807 bytes");
+    expect(test::make_tfrecord("not a message"), "record 0: ");
+    expect(test::make_tfrecord(""), "record 0 ... pose ... missing");
 }
 
 TEST(Waymo, DamagedFramesAreRefused) {
@@ -261,8 +232,7 @@ TEST(Waymo, DamagedFramesAreRefused) {
         segment.frames = good;
         damage(segment.frames[1]);
         segment.write();
-        const std::string bytes = test::read_text(segment.file);
-        EXPECT_THAT(get_refusal(segment, bytes), testing::AllOf(Names(part), Names(".tfrecord: ")));
+        segment.expect_error(".tfrecord: ... " + part);
     };
     const int h = WaymoSegment::kTopRows, w = WaymoSegment::kTopColumns;
     const auto with_top = [](test::WaymoFrame& frame, const std::string& image,
@@ -339,7 +309,7 @@ TEST(Waymo, ReadsTheClassesOfPoints) {
     }
     segment.frames[1].lasers[1] = make_labelled_top(h * (w - 1), {h, w - 1, 2});
     segment.write();
-    EXPECT_THAT(get_refusal(segment, test::read_text(segment.file)), Names("16 x 399 ... 16 x 400"));
+    segment.expect_error("16 x 399 ... 16 x 400");
 }
 
 TEST(Waymo, DamagedCalibrationsAreRefused) {
@@ -347,7 +317,7 @@ TEST(Waymo, DamagedCalibrationsAreRefused) {
     const auto expect = [&](const std::string& part, const std::vector<std::string>& calibrations) {
         segment.frames[0].context = test::make_waymo_context(calibrations);
         segment.write();
-        EXPECT_THAT(get_refusal(segment, test::read_text(segment.file)), Names(part));
+        segment.expect_error(part);
     };
     const std::string side = test::make_waymo_calibration(3, {}, -1.5, 0.5, glm::dmat4(1.0));
     expect("record 0: laser_calibrations ... TOP", {side});
