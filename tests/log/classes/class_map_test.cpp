@@ -39,13 +39,17 @@ std::map<Place, std::array<int, kSurfaceClasses>> count_labels(const LidarSequen
     return counts;
 }
 
+SurfaceClassMap map_of(const LidarSequence& log, const std::vector<BoxTrack>& boxes,
+                       const std::vector<int>& frames) {
+    return compute_map_of_surface_classes(log, log.world_from_vehicle, boxes, frames);
+}
+
 TEST(ClassMap, HasTheMostFrequentClassOfEachCell) {
     const LidarSequence log =
         make_synthetic_street({.n_frames = 8, .rows = 16, .columns = 256, .people = true});
     const std::vector<int> positions = {0, 1, 3, 4};
     auto counts = count_labels(log, positions);
-    const SurfaceClassMap map =
-        compute_map_of_surface_classes(log, log.world_from_vehicle, log.boxes, positions);
+    const SurfaceClassMap map = map_of(log, log.boxes, positions);
     ASSERT_EQ(map.size(), counts.size());
     std::array<std::size_t, kSurfaceClasses> n_cells{};
     for (const SurfaceClassCell& cell : map) {
@@ -64,23 +68,20 @@ TEST(ClassMap, HasTheMostFrequentClassOfEachCell) {
 TEST(ClassMap, IgnoresReturnsInTheBoxesThatAreGiven) {
     LidarSequence log = make_synthetic_street({.n_frames = 4, .rows = 16, .columns = 256, .people = true});
     const std::vector<BoxTrack> boxes = log.boxes;
-    const SurfaceClassMap expected =
-        compute_map_of_surface_classes(log, log.world_from_vehicle, boxes, {0, 1, 2, 3});
+    const SurfaceClassMap expected = map_of(log, boxes, {0, 1, 2, 3});
     for (BoxTrack& box : log.boxes)
         for (Pose& pose : box.world_from_box.pose) pose.translation.z += 100.0;
-    EXPECT_EQ(compute_map_of_surface_classes(log, log.world_from_vehicle, boxes, {0, 1, 2, 3}), expected);
-    EXPECT_GT(compute_map_of_surface_classes(log, log.world_from_vehicle, log.boxes, {0, 1, 2, 3}).size(),
-              expected.size());
+    EXPECT_EQ(map_of(log, boxes, {0, 1, 2, 3}), expected);
+    EXPECT_GT(map_of(log, log.boxes, {0, 1, 2, 3}).size(), expected.size());
 }
 
 TEST(ClassMap, IgnoresScansWithoutLabels) {
     LidarSequence log = make_synthetic_street({.n_frames = 2, .rows = 8, .columns = 64});
-    const std::size_t n_first =
-        compute_map_of_surface_classes(log, log.world_from_vehicle, log.boxes, {0}).size();
+    const std::size_t n_first = map_of(log, log.boxes, {0}).size();
     log.frames[1].scan.classes.clear();
-    EXPECT_EQ(compute_map_of_surface_classes(log, log.world_from_vehicle, log.boxes, {0, 1}).size(), n_first);
+    EXPECT_EQ(map_of(log, log.boxes, {0, 1}).size(), n_first);
     log.frames[0].scan.classes.clear();
-    EXPECT_TRUE(compute_map_of_surface_classes(log, log.world_from_vehicle, log.boxes, {0, 1}).empty());
+    EXPECT_TRUE(map_of(log, log.boxes, {0, 1}).empty());
 }
 
 TEST(ClassMap, KeepsItsOwnCellsIfAnotherMapIsAdded) {

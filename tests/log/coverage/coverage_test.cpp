@@ -95,7 +95,7 @@ TEST(Coverage, AlongAnAxisAndAtRestCellsAreFoundToo) {
 
 /// Makes a LiDAR 2 m above the origin with beams at 20, 0, -20 and -40 degrees and 360
 /// columns.
-LidarSequence make_one_sweep() {
+LidarSequence make_sweep(const std::array<float, 4>& range_m) {
     LidarSequence sequence;
     SpinningSensor& sensor = sequence.lidars[0].sensor;
     for (const double degrees : {20.0, 0.0, -20.0, -40.0}) sensor.beams.push_back({degrees * kPi / 180.0});
@@ -103,16 +103,17 @@ LidarSequence make_one_sweep() {
     sequence.world_from_vehicle = {{0.0}, {Pose{{1, 0, 0, 0}, {0, 0, 2.0}}}};
     LidarFrame frame;
     frame.scan.rays = make_rays(sensor);
-    frame.scan.range_m.assign(frame.scan.rays.size(), 0.0f);
+    for (const std::uint16_t channel : frame.scan.rays.channel)
+        frame.scan.range_m.push_back(range_m[channel]);
     frame.scan.intensity.assign(frame.scan.rays.size(), 0.0f);
     sequence.frames.push_back(std::move(frame));
     sequence.rolling_shutter = false;
     return sequence;
 }
 
-void set_ranges(LidarSequence& sequence, const std::array<float, 4>& range_m) {
-    Scan& scan = sequence.frames[0].scan;
-    for (std::size_t i = 0; i < scan.range_m.size(); ++i) scan.range_m[i] = range_m[scan.rays.channel[i]];
+ObservedVoxelSet observe(const std::array<float, 4>& range_m) {
+    const LidarSequence sequence = make_sweep(range_m);
+    return compute_observed_coverage(sequence, sequence.world_from_vehicle, {0}, 80.0);
 }
 
 /// Returns the share of a segment ahead of the sensor, at an elevation, that the scans
@@ -126,10 +127,7 @@ double seen(const ObservedVoxelSet& coverage, double elevation_deg, double from_
 }
 
 TEST(Coverage, AScanHasLookedAsFarAsItsReturns) {
-    LidarSequence sequence = make_one_sweep();
-    set_ranges(sequence, {30.0f, 20.0f, 5.8f, 3.1f});  // a wall and flat ground
-    const ObservedVoxelSet coverage =
-        compute_observed_coverage(sequence, sequence.world_from_vehicle, {0}, 80.0);
+    const ObservedVoxelSet coverage = observe({30.0f, 20.0f, 5.8f, 3.1f});  // a wall and flat ground
     EXPECT_GT(seen(coverage, 20.0, 0.5, 29.5), 0.99);
     EXPECT_LT(seen(coverage, 20.0, 32.0, 60.0), 0.01) << "behind the wall";
     EXPECT_GT(seen(coverage, 10.0, 0.5, 19.5), 0.99) << "between two beams, as far as the nearer sees";
@@ -139,17 +137,13 @@ TEST(Coverage, AScanHasLookedAsFarAsItsReturns) {
 }
 
 TEST(Coverage, ADroppedRayTellsWhatItsNeighboursTell) {
-    LidarSequence sequence = make_one_sweep();
-    set_ranges(sequence, {0.0f, 0.0f, 5.8f, 3.1f});  // no surface above the ground
-    ObservedVoxelSet coverage = compute_observed_coverage(sequence, sequence.world_from_vehicle, {0}, 80.0);
+    ObservedVoxelSet coverage = observe({0.0f, 0.0f, 5.8f, 3.1f});  // no surface above the ground
     EXPECT_GT(seen(coverage, 20.0, 0.5, 79.0), 0.99) << "the sky";
     EXPECT_LT(seen(coverage, 20.0, 82.0, 120.0), 0.01) << "beyond its range";
-    set_ranges(sequence, {30.0f, 0.0f, 5.8f, 3.1f});
-    coverage = compute_observed_coverage(sequence, sequence.world_from_vehicle, {0}, 80.0);
+    coverage = observe({30.0f, 0.0f, 5.8f, 3.1f});
     EXPECT_GT(seen(coverage, 0.0, 0.5, 5.5), 0.99);
     EXPECT_LT(seen(coverage, 0.0, 8.0, 40.0), 0.05) << "a black car";
-    set_ranges(sequence, {30.0f, 20.0f, 0.0f, 0.0f});
-    coverage = compute_observed_coverage(sequence, sequence.world_from_vehicle, {0}, 80.0);
+    coverage = observe({30.0f, 20.0f, 0.0f, 0.0f});
     EXPECT_LT(seen(coverage, -40.0, 3.0, 40.0), 0.01) << "the vehicle's own roof";
 }
 

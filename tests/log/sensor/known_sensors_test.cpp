@@ -4,36 +4,21 @@
 #include <relidar/log/sensor_files.hpp>
 #include <relidar/log/sensor_pattern.hpp>
 
-#include <filesystem>
-#include <fstream>
-
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
-#include <relidar/base/error.hpp>
 #include <relidar/base/math.hpp>
 
 #include "support/names.hpp"
+#include "support/sensor_texts.hpp"
 
 namespace relidar {
 namespace {
 
+using test::message;
+using test::message_of;
 using test::Names;
-
-std::string write(const std::string& name, const std::string& text) {
-    const auto path = std::filesystem::path(testing::TempDir()) / name;
-    std::ofstream(path) << text;
-    return path.string();
-}
-
-std::string message(const std::string& sensor) {
-    try {
-        find_sensor(sensor);
-    } catch (const Error& error) {
-        return error.what();
-    }
-    return "";
-}
+using test::write;
 
 SpinningSensor spinning(const std::string& name) {
     return std::get<SpinningSensor>(find_sensor(name).pattern);
@@ -144,18 +129,18 @@ TEST(KnownSensors, CsvTableHoldsRangeLimits) {
     EXPECT_DOUBLE_EQ(limited.min_range_m, 0.5);
     EXPECT_DOUBLE_EQ(limited.max_range_m, 30.0);
     EXPECT_DOUBLE_EQ(spinning(write("plain.csv", "elevation_deg\n5\n")).max_range_m, 80.0);
-    EXPECT_THAT(message(write("g.csv", "elevation_deg,max_range_m\n5,30\n-5,40\n")),
+    EXPECT_THAT(message_of("g.csv", "elevation_deg,max_range_m\n5,30\n-5,40\n"),
                 Names("line 3 ... 0 to 40 m ... 0 to 30 m"));
-    EXPECT_THAT(message(write("h.csv", "elevation_deg,min_range_m,max_range_m\n5,30,30\n")),
+    EXPECT_THAT(message_of("h.csv", "elevation_deg,min_range_m,max_range_m\n5,30,30\n"),
                 Names("min_range_m below max_range_m"));
-    EXPECT_THAT(message(write("i.csv", "elevation_deg,max_range_m\n5,-1\n")),
+    EXPECT_THAT(message_of("i.csv", "elevation_deg,max_range_m\n5,-1\n"),
                 Names("max_range_m ... '-1' ... [0, 10000]"));
 }
 
 TEST(KnownSensors, ColumnsThatAreNotKnownAreErrors) {
-    EXPECT_THAT(message(write("j.csv", "elevation_deg,azimuth_ofset_deg\n5,1\n")),
+    EXPECT_THAT(message_of("j.csv", "elevation_deg,azimuth_ofset_deg\n5,1\n"),
                 Names("j.csv line 1 ... 'azimuth_ofset_deg' ... 'azimuth_offset_deg'"));
-    EXPECT_THAT(message(write("k.csv", "elevation_deg,elevation_deg\n5,1\n")),
+    EXPECT_THAT(message_of("k.csv", "elevation_deg,elevation_deg\n5,1\n"),
                 Names("'elevation_deg' ... twice"));
 }
 
@@ -171,13 +156,13 @@ TEST(KnownSensors, SizesThatNoSensorHasAreRefused) {
 
 TEST(KnownSensors, WrongTablesAreNamed) {
     EXPECT_THAT(message("/nowhere/beams.csv"), Names("/nowhere/beams.csv: no such file"));
-    EXPECT_THAT(message(write("a.csv", "channel\n1\n")), Names("a.csv ... column 'elevation_deg'"));
-    EXPECT_THAT(message(write("b.csv", "elevation_deg\n1\nabc\n")),
+    EXPECT_THAT(message_of("a.csv", "channel\n1\n"), Names("a.csv ... column 'elevation_deg'"));
+    EXPECT_THAT(message_of("b.csv", "elevation_deg\n1\nabc\n"),
                 Names("b.csv line 3: elevation_deg is 'abc'"));
-    EXPECT_THAT(message(write("c.csv", "elevation_deg\nnan\n")), Names("'nan'"));
-    EXPECT_THAT(message(write("d.csv", "elevation_deg\n1\n2\n")), Names("highest ... lowest"));
-    EXPECT_THAT(message(write("e.csv", "elevation_deg,channel\n1\n")), Names("1 values, expected 2"));
-    EXPECT_THAT(message(write("f.csv", "elevation_deg\n")), Names("beams"));
+    EXPECT_THAT(message_of("c.csv", "elevation_deg\nnan\n"), Names("'nan'"));
+    EXPECT_THAT(message_of("d.csv", "elevation_deg\n1\n2\n"), Names("highest ... lowest"));
+    EXPECT_THAT(message_of("e.csv", "elevation_deg,channel\n1\n"), Names("1 values, expected 2"));
+    EXPECT_THAT(message_of("f.csv", "elevation_deg\n"), Names("beams"));
     EXPECT_THAT(message(write("f.csv", "elevation_deg\n1\n") + ":0"), Names("1 to 1000000 columns"));
 }
 

@@ -6,8 +6,6 @@
 #include <relidar/log/sensor_pattern.hpp>
 
 #include <cmath>
-#include <filesystem>
-#include <fstream>
 
 #include <fmt/format.h>
 #include <gmock/gmock.h>
@@ -18,29 +16,16 @@
 #include <relidar/base/math.hpp>
 
 #include "support/names.hpp"
+#include "support/sensor_texts.hpp"
 
 namespace relidar {
 namespace {
 
+using test::message;
+using test::message_of;
 using test::Names;
-
-std::string path_of(const std::string& name) {
-    return (std::filesystem::path(testing::TempDir()) / name).string();
-}
-
-std::string write(const std::string& name, const std::string& text) {
-    std::ofstream(path_of(name)) << text;
-    return path_of(name);
-}
-
-std::string message(const std::string& sensor) {
-    try {
-        make_rays(find_sensor(sensor));
-    } catch (const Error& error) {
-        return error.what();
-    }
-    return "";
-}
+using test::path_of;
+using test::write;
 
 void expect_rays(const RayTable& rays, const std::vector<glm::dvec3>& directions,
                  const std::vector<glm::dvec3>& origins) {
@@ -201,31 +186,31 @@ TEST(SensorFiles, SpinningSensorsByNameTakeColumnsAndRate) {
 
 TEST(SensorFiles, WrongFilesAreNamed) {
     EXPECT_THAT(message(path_of("missing.npz")), Names("missing.npz"));
-    EXPECT_THAT(message(write("a.csv", "azimuth_deg,elevation_deg\n0,nan\n")),
+    EXPECT_THAT(message_of("a.csv", "azimuth_deg,elevation_deg\n0,nan\n"),
                 Names("a.csv line 2: elevation_deg is 'nan'"));
-    EXPECT_THAT(message(write("b.csv", "azimuth_deg,elevation_deg\n")), Names("b.csv: found 0 rays"));
-    EXPECT_THAT(message(write("c.csv", "azimuth_deg,elevation_deg,wavelength\n1,1,905\n")),
+    EXPECT_THAT(message_of("b.csv", "azimuth_deg,elevation_deg\n"), Names("b.csv: found 0 rays"));
+    EXPECT_THAT(message_of("c.csv", "azimuth_deg,elevation_deg,wavelength\n1,1,905\n"),
                 Names("column 'wavelength' ... unknown"));
-    EXPECT_THAT(message(write("d.csv", "azimuth_deg,elevation_deg,max_range_m\n1,1,50\n1,1,60\n")),
+    EXPECT_THAT(message_of("d.csv", "azimuth_deg,elevation_deg,max_range_m\n1,1,50\n1,1,60\n"),
                 Names("d.csv line 3: max_range_m is 60, expected 50"));
-    EXPECT_THAT(message(write("e.csv", "azimuth_deg,time_s\n1,1\n")),
+    EXPECT_THAT(message_of("e.csv", "azimuth_deg,time_s\n1,1\n"),
                 Names("azimuth_deg or elevation_deg ... missing"));
-    EXPECT_THAT(message(write("a.json", "{\"directions\": [[1,0,0],[0,2,0]]}")),
+    EXPECT_THAT(message_of("a.json", "{\"directions\": [[1,0,0],[0,2,0]]}"),
                 Names("entry 1 of directions ... 2 ... 1"));
-    EXPECT_THAT(message(write("n.json", R"({"directions": [[1,0,0]], "times": [0]})")),
+    EXPECT_THAT(message_of("n.json", R"({"directions": [[1,0,0]], "times": [0]})"),
                 Names("'times' ... directions, origin, time, ring"));
-    EXPECT_THAT(message(write("o.json", R"({"window": {}, "max_range_m": 50})")),
+    EXPECT_THAT(message_of("o.json", R"({"window": {}, "max_range_m": 50})"),
                 Names("'max_range_m' ... window"));
-    EXPECT_THAT(message(write("b.json", "{\"directions\": [[1,0,0]], \"time\": [1,2]}")),
+    EXPECT_THAT(message_of("b.json", "{\"directions\": [[1,0,0]], \"time\": [1,2]}"),
                 Names("time ... 2 numbers ... 1"));
-    EXPECT_THAT(message(write("c.json", "{\"directions\": [[1,0,\"x\"]]}")),
+    EXPECT_THAT(message_of("c.json", "{\"directions\": [[1,0,\"x\"]]}"),
                 Names("directions ... string ... numbers"));
     EXPECT_THAT(message(write("d.json", "{\"directions\": " + std::string(50'000, '[') +
                                             std::string(50'000, ']') + "}")),
                 Names("nested"));
-    EXPECT_THAT(message(write("e.json", "[1,")), Names("e.json ... JSON"));
+    EXPECT_THAT(message_of("e.json", "[1,"), Names("e.json ... JSON"));
     EXPECT_THAT(
-        message(write("f.json", "{}")),
+        message_of("f.json", "{}"),
         Names(
             "\"spinning\", \"window\", \"rosette\", \"rays\", \"directions\" ... \"beam_altitude_angles\""));
     EXPECT_THAT(
@@ -237,7 +222,7 @@ TEST(SensorFiles, WrongFilesAreNamed) {
         message(write("h.json",
                       R"({"beam_altitude_angles": [1], "beam_azimuth_angles": [1], "lidar_mode": "fast"})")),
         Names("lidar_mode is \"fast\""));
-    EXPECT_THAT(message(write("i.json", R"({"directions": [[1,0,0]], "time": [1e300]})")),
+    EXPECT_THAT(message_of("i.json", R"({"directions": [[1,0,0]], "time": [1e300]})"),
                 Names("entry 0 of time ... 1e+300"));
     write_npz(path_of("a.npz"), {make_single_text_array("name", "x")});
     EXPECT_THAT(message(path_of("a.npz")), Names("array \"directions\" ... missing"));
@@ -263,8 +248,8 @@ TEST(SensorFiles, WhatSweepsIsDescribedInAFewNumbers) {
     EXPECT_EQ(make_rays(flower).size(), 100u);
     EXPECT_NE(make_rays(flower, 0.0).direction, make_rays(flower, 0.1).direction);
     EXPECT_EQ(flower.limits.max_m, 80.0);
-    EXPECT_THAT(message(write("j.json", R"({"window": {"rows": 3}})")), Names("window.columns ... missing"));
-    EXPECT_THAT(message(write("k.json", R"({"rosette": {"rays": 5, "petals": 3}})")), Names("'petals'"));
+    EXPECT_THAT(message_of("j.json", R"({"window": {"rows": 3}})"), Names("window.columns ... missing"));
+    EXPECT_THAT(message_of("k.json", R"({"rosette": {"rays": 5, "petals": 3}})"), Names("'petals'"));
     EXPECT_THAT(
         message(
             write("l.json",
@@ -272,8 +257,8 @@ TEST(SensorFiles, WhatSweepsIsDescribedInAFewNumbers) {
         "bottom_deg": 0}})")),
         Names("60000 rows x 60000 columns"));
     EXPECT_THAT(
-        message(write("m.json", R"({"rosette": {"rays": 5, "deflection_deg": 3, "first_hz": 1, "second_hz": 1,
-        "min_range_m": 90}})")),
+        message_of("m.json", R"({"rosette": {"rays": 5, "deflection_deg": 3, "first_hz": 1, "second_hz": 1,
+        "min_range_m": 90}})"),
         Names("expected min_range_m < max_range_m"));
 }
 
@@ -328,9 +313,9 @@ TEST(SensorFiles, EveryKindReadsBackToTheSameBits) {
             EXPECT_EQ(summarise_scan_pattern(read.pattern).n_rays, b.size());
         }
     }
-    EXPECT_THAT(message(write("p.json", R"({"spinning": {"columns": 90}})")), Names("beams"));
+    EXPECT_THAT(message_of("p.json", R"({"spinning": {"columns": 90}})"), Names("beams"));
     EXPECT_THAT(
-        message(write("q.json", R"({"window": {"rows": 1, "columns": 1, "left_deg": 1, "left_rad": 1}})")),
+        message_of("q.json", R"({"window": {"rows": 1, "columns": 1, "left_deg": 1, "left_rad": 1}})"),
         Names("left_deg and left_rad"));
 }
 
@@ -350,37 +335,34 @@ TEST(SensorFiles, RangeOfAFileThatGivesNoneIsTheCallers) {
         const auto* spinning = std::get_if<SpinningSensor>(&sensor.pattern);
         EXPECT_TRUE(!spinning || spinning->max_range_m == 250.0) << file;
     }
-    EXPECT_THAT(message(write("beyond.csv", "elevation_deg,min_range_m\n5,90\n")),
+    EXPECT_THAT(message_of("beyond.csv", "elevation_deg,min_range_m\n5,90\n"),
                 Names("expected min_range_m < max_range_m"));
     EXPECT_EQ(find_sensor("VLP-16", {}, 250.0).limits.max_m, find_sensor("VLP-16").limits.max_m)
         << "a data sheet gives a limit";
 }
 
 TEST(Rigs, WrongRigsAreNamed) {
-    const auto complaint = [](const std::string& text) {
+    const auto complaint = [](const std::string& text) -> std::string {
         try {
-            read_sensor_rig(write("bad_rig.json", text));
+            read_sensor_rig(write("bad_rig.json", R"({"sensors": [)" + text));
         } catch (const Error& error) {
-            return std::string(error.what());
+            return error.what();
         }
-        return std::string();
+        return "";
     };
-    EXPECT_THAT(complaint("{\"sensors\": []}"), Names("\"sensors\" ... 1 to 64"));
-    EXPECT_THAT(complaint(R"({"sensors": [{"sensor": "VLP-16"}]})"), Names("sensor 0 ... name ... text"));
-    EXPECT_THAT(complaint(R"({"sensors": [{"name": "../x", "sensor": "VLP-16"}]})"),
-                Names("name: found \"../x\""));
-    EXPECT_THAT(
-        complaint(R"({"sensors": [{"name": "a", "sensor": "VLP-16"}, {"name": "a", "sensor": "VLP-16"}]})"),
-        Names("sensor 1: name: \"a\" ... twice"));
-    EXPECT_THAT(complaint(R"({"sensors": [{"name": "a", "sensor": "VLP-16", "translation_m": [1, 2]}]})"),
+    EXPECT_THAT(complaint("]}"), Names("\"sensors\" ... 1 to 64"));
+    EXPECT_THAT(complaint(R"({"sensor": "VLP-16"}]})"), Names("sensor 0 ... name ... text"));
+    EXPECT_THAT(complaint(R"({"name": "../x", "sensor": "VLP-16"}]})"), Names("name: found \"../x\""));
+    EXPECT_THAT(complaint(R"({"name": "a", "sensor": "VLP-16"}, {"name": "a", "sensor": "VLP-16"}]})"),
+                Names("sensor 1: name: \"a\" ... twice"));
+    EXPECT_THAT(complaint(R"({"name": "a", "sensor": "VLP-16", "translation_m": [1, 2]}]})"),
                 Names("sensor 0 ... translation_m ... 1000"));
-    EXPECT_THAT(complaint(R"({"sensors": [{"name": "a", "sensor": "VLP-16", "translation": [1, 2, 0]}]})"),
+    EXPECT_THAT(complaint(R"({"name": "a", "sensor": "VLP-16", "translation": [1, 2, 0]}]})"),
                 Names("sensor 0 ... 'translation' ... 'translation_m'"));
-    EXPECT_THAT(
-        complaint(R"({"sensors": [{"name": "a", "sensor": "VLP-16"}], "yaw_pitch_roll_deg": [0, 0, 0]})"),
-        Names("'yaw_pitch_roll_deg' ... sensors"));
-    EXPECT_THAT(complaint(R"({"sensors": [{"name": "a", "sensor": "VLP"}]})"), Names("VLP-16"));
-    EXPECT_THAT(complaint(R"({"sensors": [{"name": "a", "sensor": "VLP-16", "returns": 3}]})"),
+    EXPECT_THAT(complaint(R"({"name": "a", "sensor": "VLP-16"}], "yaw_pitch_roll_deg": [0, 0, 0]})"),
+                Names("'yaw_pitch_roll_deg' ... sensors"));
+    EXPECT_THAT(complaint(R"({"name": "a", "sensor": "VLP"}]})"), Names("VLP-16"));
+    EXPECT_THAT(complaint(R"({"name": "a", "sensor": "VLP-16", "returns": 3}]})"),
                 Names("sensor 0 ... returns ... 1 or 2"));
 }
 
