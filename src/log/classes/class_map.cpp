@@ -10,8 +10,7 @@
 namespace relidar {
 namespace {
 
-// A point has the surface class of the nearest map cell. If the centre of that cell is
-// farther away than this, the class is unknown.
+// Farther from the centre of the nearest cell, the class is unknown.
 constexpr float kClassReach_m = 2.0f;
 
 std::uint64_t make_class_cell_key(const SurfaceClassCell& cell) {

@@ -7,7 +7,6 @@
 namespace relidar {
 namespace {
 
-/// Number of a class in a dataset, and the matching class of relidar.
 struct ClassNumberMapping {
     int number;
     SurfaceClass surface;
@@ -67,7 +66,7 @@ SurfaceClass convert_semantic_kitti_label(int label) {
 
 SurfaceClass convert_nuscenes_class(std::string_view category) {
     using enum SurfaceClass;
-    // Only the first row whose prefix matches is used.
+    // the first row whose prefix matches
     static constexpr ClassPrefixMapping kClasses[] = {
         {"vehicle.ego", unknown},
         {"vehicle.bicycle", cyclist},

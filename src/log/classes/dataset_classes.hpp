@@ -9,11 +9,8 @@
 
 namespace relidar {
 
-/// @param label  number of a class in SemanticKITTI
 SurfaceClass convert_semantic_kitti_label(int label);
-/// @param category  name of a category in nuScenes, for example "flat.sidewalk"
 SurfaceClass convert_nuscenes_class(std::string_view category);
-/// @param class_number  number of a Segmentation.Type in Waymo Open
 SurfaceClass convert_waymo_class(int class_number);
 
 }  // namespace relidar

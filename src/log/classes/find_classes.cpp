@@ -15,9 +15,8 @@
 namespace relidar {
 namespace {
 
-/// Returns the world grid cell and the class of each labelled return of a frame. Skips
-/// returns in moving boxes.
-/// @param moving_boxes  moving boxes of the log
+/// Returns the world grid cell and the class of each labelled return outside of moving
+/// boxes.
 std::vector<SurfaceClassCell> collect_class_votes(const LidarSequence& sequence,
                                                   const PoseTrack& world_from_sensor,
                                                   const std::vector<BoxTrack>& moving_boxes,
@@ -69,8 +68,7 @@ SurfaceClassMap compute_map_of_surface_classes(const LidarSequence& sequence,
         map[cells.of[i]].grid_index = votes[i].grid_index;
         ++counts[cells.of[i]][std::size_t(votes[i].surface)];
     }
-    // A cell has the class with most votes. In a tie, it has the class with the higher
-    // number.
+    // In a tie, the class with the higher number wins.
     for (std::size_t cell = 0; cell < map.size(); ++cell) {
         const std::array<std::uint32_t, kSurfaceClasses>& votes_per_class = counts[cell];
         std::size_t best = 0;

@@ -12,8 +12,7 @@ namespace relidar {
 namespace {
 
 constexpr int kEdge = ObservedVoxelSet::kBlockCells;
-// Points farther from the origin than this are ignored. Blocks of grid cells have unique
-// keys only up to 8e6 m.
+// Keys of blocks are unique only up to 8e6 m.
 constexpr double kFarthestPoint_m = 1e6;
 
 struct VoxelAddress {
@@ -35,8 +34,7 @@ bool is_in_supported_range(const glm::dvec3& point_m) {
            std::abs(point_m.z) < kFarthestPoint_m;
 }
 
-/// Calls visit_cell(cell, length_m) for each cell that a line segment crosses, in order
-/// along the segment.
+/// Calls visit_cell(cell, length_m) for each crossed cell, in order along the segment.
 template <class Visit>
 void visit_cells_on_segment(const glm::dvec3& start_m, const glm::dvec3& end_m, const Visit& visit_cell) {
     if (!is_in_supported_range(start_m) || !is_in_supported_range(end_m)) return;
@@ -46,9 +44,8 @@ void visit_cells_on_segment(const glm::dvec3& start_m, const glm::dvec3& end_m, 
     const glm::ivec3 end(glm::floor(a + displacement));
     const double length_m = glm::distance(start_m, end_m);
     glm::ivec3 step;
-    // Positions on the line segment are fractions of its length, from 0 at its start to 1
-    // at its end. Per axis: `next` is the position where it crosses the next cell border.
-    // `pace` is the difference in position between two consecutive borders.
+    // Per axis, as fractions of the segment: position of the next cell border, and
+    // distance between two borders.
     glm::dvec3 next, pace;
     int n_borders = 0;
     for (int axis = 0; axis < 3; ++axis) {
@@ -62,7 +59,6 @@ void visit_cells_on_segment(const glm::dvec3& start_m, const glm::dvec3& end_m, 
     }
     double at = 0.0;
     for (int border = 0; border < n_borders; ++border) {
-        // Axis of the nearest border. If two borders are equally near, the first axis.
         int axis = next.y <= next.z ? 1 : 2;
         if (next.x <= next.y) axis = next.x <= next.z ? 0 : 2;
         visit_cell(cell, std::max(next[axis] - at, 0.0) * length_m);
@@ -76,8 +72,7 @@ void visit_cells_on_segment(const glm::dvec3& start_m, const glm::dvec3& end_m, 
 }  // namespace
 
 void ObservedVoxelSet::add_voxels_on_line_segment(const glm::dvec3& start_m, const glm::dvec3& end_m) {
-    // Block (group of cells) that was used last. The next cell is usually in the same
-    // block.
+    // last used block; the next cell is usually in the same block
     VoxelBlock* block = nullptr;
     visit_cells_on_segment(start_m, end_m, [&](const glm::ivec3& cell, double) {
         const VoxelAddress cell_address = find_block_and_bit_of_cell(cell);

@@ -12,17 +12,15 @@
 namespace relidar {
 namespace {
 
-/// A ray in the world frame, and the length up to which it has observed the space.
 struct ObservedRaySegment {
     WorldRay ray;
     double length_m = 0.0;  ///< length of the observed path; 0 if the ray gives no information
 };
 
-/// Returns the length of the observed path for each ray of one column, highest beam
-/// first. A dropped ray has observed space only if a lower ray of the column has a
-/// return. Its length is then the smaller of two ranges: the next return above and the
-/// next return below. If there is no return above, the length is max_range_m.
-/// @param ranges_m  [rows] ranges of the returns, 0 if the ray was dropped
+/// Returns the observed length of each ray of a column, highest beam first. A dropped ray
+/// has observed space only if a lower ray has a return: up to the nearer of the next
+/// returns above and below, or up to max_range_m without a return above.
+/// @param ranges_m  [rows] 0 if the ray was dropped
 std::vector<double> compute_observed_ray_lengths_of_column_m(const std::vector<double>& ranges_m,
                                                              double max_range_m) {
     const std::size_t n = ranges_m.size();
@@ -37,7 +35,6 @@ std::vector<double> compute_observed_ray_lengths_of_column_m(const std::vector<d
     return result;
 }
 
-/// Marks the space between two neighbouring rays as observed.
 void mark_space_between_rays_observed(ObservedVoxelSet& coverage, const ObservedRaySegment& first_ray,
                                       const ObservedRaySegment& second_ray) {
     const double length_m = std::min(first_ray.length_m, second_ray.length_m);
@@ -60,8 +57,7 @@ ObservedVoxelSet compute_voxels_observed_by_frame(const LidarSequence& sequence,
     const Scan& scan = frame.scan;
     const std::size_t columns = std::size_t(std::max(scan.rays.columns, 1)),
                       rows = scan.range_m.size() / columns;
-    // Traces only every `step`-th scan column through the grid, because the columns in
-    // between cross the same grid cells. The step is at most 16.
+    // Skips columns (at most 15) that cross the same grid cells.
     std::size_t step = 1;
     if (rows > 1) {
         const int sensor_columns = sequence.get_lidar(frame).sensor.columns;

@@ -41,14 +41,12 @@ namespace fs = std::filesystem;
 
 struct DatasetKind {
     const char* name;
-    /// Names of files or folders that identify this kind of dataset, separated by blanks.
-    /// "name*" matches every name that begins with "name". ".ending" matches files with
-    /// this extension, also inside a folder.
+    /// Files or folders that identify this kind. "name*" matches a beginning, and
+    /// ".ending" files with this extension, also inside a folder.
     const char* marker;
     const char* describe;
     LidarSequence (*load)(const fs::path&, const DatasetOptions&);
-    /// True if a dataset contains several drives. The user then selects one drive with
-    /// DatasetOptions::sequence.
+    /// selected with DatasetOptions::sequence
     bool holds_drives = false;
 };
 
@@ -110,9 +108,7 @@ bool is_dataset_of_kind(const fs::path& path, const DatasetKind& kind) {
     return false;
 }
 
-/// Throws if a folder contains scans but no sequence.json. The message contains an
-/// example of a sequence.json.
-/// @throws DataError in this case
+/// The message contains an example of a sequence.json.
 void throw_if_scans_lack_sequence_json(const fs::path& path) {
     std::error_code failed;
     if (!fs::is_directory(path, failed)) return;
@@ -131,10 +127,9 @@ void throw_if_scans_lack_sequence_json(const fs::path& path) {
     }
 }
 
-/// Returns the largest range of all returns of a LiDAR, rounded up to metres. Returns 80
-/// m if the LiDAR has no returns.
+/// Rounds the largest range up to metres. Returns 80 m without returns.
 double find_farthest_return_m(const LidarSequence& sequence, int lidar_index) {
-    // Larger ranges are ignored as errors. No LiDAR on a vehicle measures them.
+    // No LiDAR on a vehicle measures larger ranges.
     constexpr float kFarthest_m = 1000.0f;
     constexpr double kWithoutReturns_m = 80.0;
     std::vector<float> farthest(sequence.frames.size(), 0.0f);
@@ -153,8 +148,7 @@ double find_farthest_return_m(const LidarSequence& sequence, int lidar_index) {
     return all > 0.0f ? std::ceil(double(all)) : kWithoutReturns_m;
 }
 
-/// Sets unknown maximum ranges of LiDARs to the largest range in the log, and adds a note
-/// for the user.
+/// Uses the largest range in the log, and adds a note.
 void set_unknown_max_ranges(LidarSequence& sequence) {
     for (std::size_t l = 0; l < sequence.lidars.size(); ++l) {
         SpinningSensor& sensor = sequence.lidars[l].sensor;
@@ -168,8 +162,6 @@ void set_unknown_max_ranges(LidarSequence& sequence) {
     }
 }
 
-/// Numbers of returns in a scan: below the LiDAR's minimum range, above its maximum
-/// range, and all.
 struct RangeLimitCounts {
     std::size_t n_below_min = 0, n_above_max = 0, n_returns = 0;
 };
@@ -187,9 +179,7 @@ RangeLimitCounts count_returns_outside_limits(const Scan& scan, const RangeLimit
     return counts;
 }
 
-/// Adds a note for the user about each LiDAR with returns outside its range limits, with
-/// the number of these returns.
-/// @param counts_of_frames  [frames] number of near, far and all returns in each frame
+/// @param counts_of_frames  [frames]
 /// @throws DataError if all returns of the log are outside the limits
 void add_notes_about_dropped_returns(LidarSequence& sequence,
                                      const std::vector<RangeLimitCounts>& counts_of_frames) {
@@ -224,8 +214,7 @@ void add_notes_about_dropped_returns(LidarSequence& sequence,
             sequence.source, n_all, sequence.notes.back().text);
 }
 
-/// Sets the range limits that the user requested for all LiDARs. Turns returns outside
-/// the limits into dropped rays.
+/// Turns returns outside the limits into dropped rays.
 void apply_range_limits_to_lidars_and_scans(LidarSequence& sequence, const RangeLimits& requested_limits) {
     set_unknown_max_ranges(sequence);
     for (Lidar& lidar : sequence.lidars) {
@@ -243,8 +232,7 @@ void apply_range_limits_to_lidars_and_scans(LidarSequence& sequence, const Range
     add_notes_about_dropped_returns(sequence, counts);
 }
 
-/// Keeps only the named LiDARs. Removes the frames of all other LiDARs, and the poses
-/// that are then unused.
+/// Also removes the frames of all other LiDARs, and the poses that are then unused.
 void remove_all_except_named_lidars(LidarSequence& sequence, const std::vector<std::string>& lidar_names) {
     std::vector<int> new_index_of_lidar(sequence.lidars.size(), -1);
     for (const std::string& name : lidar_names) {
@@ -286,8 +274,7 @@ void remove_all_except_named_lidars(LidarSequence& sequence, const std::vector<s
             fmt::format("these LiDARs of the log are not read: {}", fmt::join(left_out, ", ")));
 }
 
-/// Splits a text of the form "kind:path". Returns an empty kind if the text is only a
-/// path.
+/// The kind of a mere path is empty.
 std::pair<std::string, fs::path> split_kind_and_path(const std::string& dataset) {
     std::error_code failed;
     const std::size_t colon = dataset.find(':');
@@ -297,10 +284,8 @@ std::pair<std::string, fs::path> split_kind_and_path(const std::string& dataset)
                     : std::pair(std::string(), fs::path(dataset));
 }
 
-/// Returns the kind of a dataset and the functions that read it.
-/// @param requested_drive  name of the requested recording (drive) in the dataset; may be
-/// empty
-/// @throws UsageError if a drive is requested but the dataset contains only one drive
+/// @param requested_drive  may be empty
+/// @throws UsageError if the dataset contains only one drive
 const DatasetKind& find_dataset_kind_of_path(const std::string& dataset, const std::string& requested_drive) {
     const auto [kind, path] = split_kind_and_path(dataset);
     const std::string name = kind.empty() ? detect_dataset_kind(path) : kind;
@@ -312,8 +297,6 @@ const DatasetKind& find_dataset_kind_of_path(const std::string& dataset, const s
     return reader;
 }
 
-/// Estimates two values for each frame: the start of the sweep, and how much the head
-/// azimuths deviate from even rotation.
 void set_sweep_starts_and_azimuth_shifts(LidarSequence& sequence) {
     std::vector<RayTable> nominal;
     for (const Lidar& lidar : sequence.lidars)
@@ -361,7 +344,6 @@ std::string detect_dataset_kind(const fs::path& path) {
 std::string make_dataset_path_absolute(const std::string& dataset) {
     const auto [kind, path] = split_kind_and_path(dataset);
     if (path.empty()) return dataset;
-    // without a trailing slash
     const std::string absolute = (fs::absolute(path) / "").lexically_normal().parent_path().string();
     return kind.empty() ? absolute : kind + ":" + absolute;
 }

@@ -11,8 +11,7 @@
 
 namespace relidar {
 
-/// Computes the rays of one beam at many azimuths of the LiDAR's head. Used by
-/// compute_beam_ray() and compute_head_azimuth().
+/// Computes the rays of one beam at many azimuths of the head.
 class BeamRayGenerator {
 public:
     explicit BeamRayGenerator(const Beam& beam)

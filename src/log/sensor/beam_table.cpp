@@ -37,8 +37,7 @@ struct FieldRule {
     double low, high, missing;  ///< allowed values, and the value that is used if the column is missing
 };
 constexpr double kFarthestLimit_m = 10'000.0;
-// Not constexpr, because clang 14 cannot create the std::string in SpinningSensor at
-// compile time.
+// clang 14 cannot create the std::string in SpinningSensor at compile time.
 const std::array<FieldRule, kFieldCount> kFields{
     {{"elevation_deg", -90.0, 90.0, 0.0},
      {"azimuth_offset_deg", -180.0, 180.0, 0.0},
@@ -70,11 +69,10 @@ BeamTableRow parse_beam_cells(const std::vector<std::string_view>& cells,
     return value;
 }
 
-/// Adds the beam in one line of a beam table to a sensor.
-/// @throws DataError if the beam is higher than the beam in the previous line, or if its
-/// range limits differ from the first line
+/// @throws DataError if the beam is higher than the previous one, or if its range limits
+/// differ from the first line
 void append_beam(SpinningSensor& sensor, const BeamTableRow& row_values, const std::string& error_location) {
-    // The rotation is negative, because the head turns clockwise.
+    // The head turns clockwise.
     const double turned_rad = -2.0 * kPi / sensor.period_s * row_values[kFiring] * 1e-6;
     const Beam beam{row_values[kElevation] * kPi / 180.0,
                     row_values[kAzimuthOffset] * kPi / 180.0 + turned_rad, row_values[kOriginOffset],

@@ -11,8 +11,7 @@ namespace relidar {
 
 std::size_t RayDropTable::compute_drop_table_index_of_ray(std::uint16_t channel,
                                                           const glm::vec3& direction) const {
-    // Bin 0 begins at an azimuth of +180 degrees. The bins continue clockwise, like the
-    // columns of a range image.
+    // Bin 0 begins at +180 degrees; bins continue clockwise, like columns.
     const double revolution_fraction =
         (1.0 - std::atan2(double(direction.y), double(direction.x)) / kPi) / 2.0;
     const int bin = std::clamp(static_cast<int>(revolution_fraction * bins), 0, bins - 1);

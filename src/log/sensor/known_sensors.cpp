@@ -23,14 +23,12 @@
 
 namespace relidar {
 
-// Defined in a source file that cmake/Assets.cmake generates.
 std::span<const std::pair<std::string_view, std::string_view>> sensor_table_texts();
 
 namespace {
 
 constexpr double kDegree = kPi / 180.0;
 
-/// Data-sheet values of a spinning sensor whose beams are in a table.
 struct BeamTableSensor {
     const char* name;
     int columns;
@@ -83,9 +81,8 @@ SensorModel make_sensor_model(SpinningSensor sensor, const std::string& descript
     return {sensor.name, description, sensor.range_limits(), std::move(sensor)};
 }
 
-/// Returns the HDL-64E as described in its data sheet. The upper 32 beams start at +2
-/// degrees, with steps of 1/3 degree. The lower 32 beams end at -24.33 degrees, with
-/// steps of 1/2 degree.
+/// The upper 32 beams start at +2 degrees, with steps of 1/3 degree. The lower 32 beams
+/// end at -24.33 degrees, with steps of 1/2 degree.
 SensorModel make_hdl64e_sensor(int columns_or_zero, double rate_hz) {
     SpinningSensor sensor =
         make_spinning_sensor_without_beams("HDL-64E", columns_or_zero ? columns_or_zero : 2083, rate_hz);
@@ -96,7 +93,6 @@ SensorModel make_hdl64e_sensor(int columns_or_zero, double rate_hz) {
     return make_sensor_model(std::move(sensor), "evenly spaced beams as in the data sheet");
 }
 
-/// Returns one of Waymo's four short-range LiDARs. The beams are evenly spaced, because
 /// Waymo publishes only the highest and the lowest elevation.
 SensorModel make_waymo_side_sensor(int columns_or_zero, double rate_hz) {
     SpinningSensor sensor =
@@ -109,8 +105,7 @@ SensorModel make_waymo_side_sensor(int columns_or_zero, double rate_hz) {
         "short-range LiDARs of the Waymo Open Dataset: 200 evenly spaced beams from +30 to -90 degrees");
 }
 
-/// Returns a spinning sensor whose rays are the pixels of the KITTI-360 range images that
-/// publications use.
+/// The rays are the pixels of the KITTI-360 range images that publications use.
 SensorModel make_kitti360_sensor(int columns_or_zero, double rate_hz) {
     const RangeImageGrid grid = make_kitti360_grid();
     SpinningSensor sensor = make_spinning_sensor_without_beams(
@@ -123,8 +118,6 @@ SensorModel make_kitti360_sensor(int columns_or_zero, double rate_hz) {
     return make_sensor_model(std::move(sensor), "image size of published results on KITTI-360, 66 x 1030");
 }
 
-/// Returns the CSV text of a built-in beam table. Its first line begins with # and names
-/// the source of the values.
 std::string get_beam_table_text(const std::string& name) {
     const auto tables = sensor_table_texts();
     const auto table = std::find_if(tables.begin(), tables.end(),
@@ -133,8 +126,6 @@ std::string get_beam_table_text(const std::string& name) {
     return std::string(table->second);
 }
 
-/// Returns the source of the values in a beam table, which follows the # in the first
-/// line.
 std::string parse_source_line_of_beam_table(const std::string& table_text) {
     return table_text.substr(2, table_text.find('\n') - 2);
 }
@@ -146,7 +137,7 @@ SensorModel make_built_in_beam_table_sensor(const BeamTableSensor& data_sheet_va
         parse_beam_table(table, data_sheet_values.name,
                          columns_or_zero ? columns_or_zero : data_sheet_values.columns, rate_hz);
     sensor.name = data_sheet_values.name;
-    // Ousters fire at fixed azimuths, first exactly backward.
+    // exactly backward
     if (sensor.name.starts_with("OS")) sensor.first_azimuth_rad = kPi;
     sensor.min_range_m = data_sheet_values.min_range_m;
     sensor.max_range_m = data_sheet_values.max_range_m;
@@ -154,8 +145,8 @@ SensorModel make_built_in_beam_table_sensor(const BeamTableSensor& data_sheet_va
     return make_sensor_model(std::move(sensor), parse_source_line_of_beam_table(table));
 }
 
-/// Returns Hesai's AT128, whose mirrors scan 120 degrees from left to right in 0.1 s.
-/// Each beam has an azimuth offset relative to the mirror direction.
+/// Mirrors scan 120 degrees from left to right in 0.1 s. Azimuth offsets of beams are
+/// relative to the mirrors.
 SensorModel make_at128_sensor() {
     constexpr int kColumns = 1200;
     constexpr double period_s = 0.1, step_deg = 0.1;
@@ -179,8 +170,7 @@ SensorModel make_at128_sensor() {
     return {"AT128", parse_source_line_of_beam_table(table), {0.5, 200.0}, std::move(rays)};
 }
 
-/// Returns a scanning-window sensor with the data-sheet values of Hesai's AT128: 128
-/// rows, 120 x 25.4 degrees, 0.1 degrees per column, 10 Hz.
+/// data sheet of the AT128
 SensorModel make_scanning_window_sensor_of_128_rows() {
     return {"window-128",
             "hybrid solid-state LiDAR similar to the AT128: mirrors scan 120 x 25.4 degrees, 1200 columns of "
@@ -195,9 +185,7 @@ SensorModel make_scanning_window_sensor_of_128_rows() {
                              .bottom_rad = -12.5 * kDegree}};
 }
 
-/// Returns a rosette sensor with the data-sheet values of Livox' Mid-40: a cone of 38.4
-/// degrees and 100 000 rays per second. The rotation rates of the prisms were measured on
-/// a Mid-40.
+/// Data sheet of the Mid-40. The rotation rates of the prisms were measured on a Mid-40.
 SensorModel make_rosette_sensor() {
     return {"rosette",
             "non-repetitive LiDAR similar to the Mid-40: two prisms, a cone of 38.4 degrees, 100 000 rays "

@@ -15,7 +15,6 @@
 
 namespace relidar {
 
-// Defined in src/log/sensor/kinds.
 PatternKind make_scanning_window_pattern_kind();
 PatternKind make_rosette_pattern_kind();
 

@@ -107,7 +107,7 @@ RayTable make_rays(const SpinningSensor& sensor) {
         for (int column = 0; column < columns; ++column, ++at) {
             const int firing = ((column + shift) % columns + columns) % columns;
             const double azimuth_rad = sensor.first_azimuth_rad - firing * 2.0 * kPi / columns;
-            // Wraps the azimuth to the interval [-pi, pi]. Does not change -pi and pi.
+            // to [-pi, pi], without changing -pi and pi
             const double head =
                 std::abs(azimuth_rad) <= kPi ? azimuth_rad : std::remainder(azimuth_rad, 2.0 * kPi);
             const BeamRay ray = geometry.compute_ray(head);

@@ -34,8 +34,7 @@ namespace {
 
 namespace fs = std::filesystem;
 
-// Smaller arrays (in bytes) always stay in memory. In the memory-mapped file, they would
-// waste space, because each array starts a new page.
+// Smaller arrays stay in memory, because each array in the file starts a new page.
 constexpr std::size_t kSmall = 16 << 10;
 constexpr std::size_t kReserved = std::size_t(1) << 40;  // Size of the reserved address range in bytes.
 
@@ -53,7 +52,7 @@ std::size_t round_up_to_page_size(std::size_t bytes) {
         missing_bytes > 0 ? fmt::format("{} more bytes are needed; ", missing_bytes) : "");
 }
 
-/// Memory-mapped file without a name. Its parts are used as memory for arrays.
+/// without a name; its parts are used as memory for arrays
 class MappedFile {
 public:
     explicit MappedFile(fs::path folder) : folder_(std::move(folder)) {
@@ -83,8 +82,7 @@ public:
         const auto free_range =
             std::find_if(free_.begin(), free_.end(), [&](const auto& range) { return range.second >= size; });
         const std::size_t offset = free_range == free_.end() ? end_ : free_range->first;
-        // Reserves the disk space now, because a write to a mapped page kills the process
-        // if the disk is full.
+        // A write to a mapped page kills the process if the disk is full.
         if (const int error = ::posix_fallocate(file_, off_t(offset), off_t(size)); error != 0)
             throw_scan_storage_error(folder_, size, error);
         if (free_range == free_.end()) end_ += size;
@@ -103,8 +101,7 @@ public:
     void free_block_in_file(void* block_address, std::size_t bytes) noexcept {
         const std::size_t size = round_up_to_page_size(bytes),
                           offset = std::size_t(static_cast<std::byte*>(block_address) - begin_);
-        // Frees the disk space of these pages, if the file system can make holes in
-        // files.
+        // Frees the disk space, if the file system can make holes.
         ::fallocate(file_, FALLOC_FL_PUNCH_HOLE | FALLOC_FL_KEEP_SIZE, off_t(offset), off_t(size));
         const std::lock_guard lock(mutex_);
         used_ -= size;
@@ -142,15 +139,14 @@ struct ScanMemoryState {
     MappedFile& get_or_create_mapped_file() {
         if (MappedFile* made = file) return *made;
         const std::lock_guard lock(mutex);
-        // The file stays open until the process ends, because static objects may free
-        // arrays in the file after main().
+        // Never closed, because static objects may free arrays after main().
         if (!file) file = std::make_unique<MappedFile>(folder).release();
         return *file;
     }
 };
 
 ScanMemoryState& get_scan_memory_state() {
-    // Never destroyed, because static objects still use this object after main().
+    // Never destroyed, for the same reason.
     static ScanMemoryState* const all = new ScanMemoryState;
     return *all;
 }
@@ -158,9 +154,9 @@ ScanMemoryState& get_scan_memory_state() {
 std::uint64_t get_physical_or_cgroup_memory_bytes() {
     std::uint64_t bytes = std::uint64_t(::sysconf(_SC_PHYS_PAGES)) * std::uint64_t(::sysconf(_SC_PAGESIZE)),
                   limit = 0;
-    // Files with the memory limit of the control group: cgroup version 2, then version 1.
+    // control group: version 2, then version 1
     for (const char* file : {"/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_bytes"})
-        // Without a memory limit, the file contains "max", which is not a number.
+        // Without a limit, the file contains "max".
         if (std::ifstream group(file); group >> limit) bytes = std::min(bytes, limit);
     return bytes;
 }

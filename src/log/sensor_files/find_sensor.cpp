@@ -18,19 +18,16 @@ namespace {
 namespace fs = std::filesystem;
 
 constexpr double kMaxColumns = 1'000'000, kMaxRate_hz = 10'000;
-// Default number of columns per revolution: one per 0.2 degrees.
 constexpr int kTableColumns = 1800;
 constexpr double kTableRate_hz = 10.0;
 
-/// Parts of a sensor text such as "OS1-64:1024x20": name, columns and rate in Hz.
 struct SensorSpecifier {
     std::string name;
     int columns = 0;       ///< 0: not specified
     double rate_hz = 0.0;  ///< 0: not specified
 };
 
-/// Parses a sensor text such as "OS1-64:1024x20": name, columns and rate in Hz. Columns
-/// and rate are optional.
+/// Parses "OS1-64:1024x20": name, columns and rate in Hz. Columns and rate are optional.
 /// @throws UsageError if the columns or the rate are out of range
 SensorSpecifier parse_sensor_name_columns_and_rate(const std::string& specifier_text) {
     const std::size_t colon = specifier_text.rfind(':');
@@ -40,8 +37,7 @@ SensorSpecifier parse_sensor_name_columns_and_rate(const std::string& specifier_
     const auto columns = parse_number(suffix.substr(0, x));
     const auto rate_hz =
         x < suffix.size() ? parse_number(suffix.substr(x + 1)) : std::optional<double>(kTableRate_hz);
-    // In "OS1-64:1024x20", columns and rate follow the colon. If the text after the colon
-    // is not a number, the colon is part of a file path.
+    // Without numbers, the colon is part of a file path.
     if (!columns || !rate_hz) return {specifier_text};
     if (!(*columns >= 1.0 && *columns <= kMaxColumns) || *columns != std::floor(*columns) ||
         !(*rate_hz > 0.0 && *rate_hz <= kMaxRate_hz)) {
@@ -71,7 +67,7 @@ SensorModel read_sensor_file(const SensorSpecifier& sensor_specifier, double def
         if (path.extension() == ".json")
             return sensor_files::parse_sensor_json(text, stem, sensor_specifier.name,
                                                    sensor_specifier.columns, sensor_specifier.rate_hz);
-        // Only a table of rays has a column azimuth_deg. A table of beams does not.
+        // Only a table of rays has this column.
         const std::string header = text.substr(0, text.find('\n'));
         const bool is_ray_table = header.find("azimuth_deg") != std::string::npos;
         return is_ray_table ? sensor_files::parse_ray_csv(text, stem, sensor_specifier.name)

@@ -88,7 +88,6 @@ SensorModel make_sensor_from_ray_arrays(const RayFileArrays& ray_arrays, const s
     RayTable rays;
     rays.rows = ray_arrays.rows;
     rays.columns = ray_arrays.columns;
-    // If all divergences are equal, stores a single number.
     const std::vector<double>& divergence_rad = ray_arrays.divergence_rad;
     if (std::ranges::adjacent_find(divergence_rad, std::not_equal_to<>()) != divergence_rad.end())
         rays.ray_divergence_rad.assign(divergence_rad.begin(), divergence_rad.end());

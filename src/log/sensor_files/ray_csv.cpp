@@ -33,13 +33,11 @@ enum RayCsvField {
 const std::vector<std::string> kNames{"azimuth_deg", "elevation_deg", "origin_x_m", "origin_y_m",
                                       "origin_z_m",  "time_s",        "channel",    "divergence_mrad",
                                       "min_range_m", "max_range_m"};
-// These columns hold range limits of the sensor. They must have the same value in every
-// line.
+// limits of the sensor: the same value in every line
 constexpr std::array<RayCsvField, 2> kOfSensor{kMinRange, kMaxRange};
 
 using RayCsvRow = std::array<double, kFieldCount>;
 
-/// Returns the values of a CSV line. Missing range limits get default values.
 RayCsvRow parse_ray_line(const std::string& line, const std::vector<int>& column_of_field,
                          std::size_t n_cells, const std::string& error_location) {
     const std::vector<std::string_view> cells = split_csv_cells(line);

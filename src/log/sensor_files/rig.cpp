@@ -24,7 +24,6 @@ using Json = nlohmann::json;
 constexpr std::size_t kMostSensors = 64;
 constexpr double kFarthest_m = 1000.0;
 
-/// Returns the three numbers of a JSON list, or zeros if the key is missing.
 glm::dvec3 read_vector_or_zero(const Json& sensor_json, const char* key, double max_abs_value,
                                const std::string& error_location) {
     if (!sensor_json.contains(key)) return glm::dvec3(0.0);
@@ -46,12 +45,11 @@ std::string read_required_text(const Json& sensor_json, const char* key, const s
     return sensor_json.at(key).get<std::string>();
 }
 
-/// Returns the sensor of one rig entry. The entry contains the name of a sensor, the name
-/// of a file, or a JSON object.
+/// The entry contains the name of a sensor, the name of a file, or a JSON object.
 SensorModel read_sensor_model(const Json& sensor_json, const std::string& sensor_name,
                               const std::string& rig_file, const std::string& error_location) {
     if (!sensor_json.contains("sensor") || !sensor_json.at("sensor").is_object()) {
-        // The text is a file in the rig file's folder, a sensor name, or another path.
+        // a file in the folder of the rig, a sensor name, or another path
         const std::string name_or_file = read_required_text(sensor_json, "sensor", error_location);
         const fs::path path = fs::path(rig_file).parent_path() / name_or_file;
         const fs::path without_columns = path.string().substr(0, path.string().rfind(':'));
@@ -79,8 +77,7 @@ void require_valid_new_sensor_name(const std::string& name, const std::set<std::
         fail("{}: name: \"{}\" occurs twice, expected it once", error_location, name);
 }
 
-/// Throws for unknown keys. Otherwise a misspelt "translation" would mount the sensor at
-/// the origin of the rig.
+/// A misspelt "translation" would mount the sensor at the origin.
 void require_only_known_json_keys(const Json& object, const std::vector<std::string>& known_keys,
                                   const std::string& error_location) {
     for (const auto& [key, value] : object.items())
@@ -97,7 +94,7 @@ std::optional<std::vector<MountedSensor>> read_sensor_rig(const std::string& pat
     try {
         json = Json::parse(read_text_file(path));
     } catch (const std::exception&) {
-        // find_sensor() reads the file again and reports the error.
+        // find_sensor() reports the error.
         return {};
     }
     if (!json.is_object() || !json.contains("sensors")) return {};

@@ -28,8 +28,6 @@ using Json = nlohmann::json;
 
 constexpr std::size_t kMostBeams = 1024;
 
-/// Searches a key in a JSON object and in its members `member_object_names`. Returns the
-/// value, or null if the key is missing.
 const Json* find_json_value(const Json& json, const std::string& key,
                             std::initializer_list<const char*> member_object_names) {
     if (json.contains(key)) return &json.at(key);
@@ -48,7 +46,6 @@ RangeLimits get_ouster_range_limits(const Json& metadata) {
     return find_built_in_sensor(sensor_name)->limits;
 }
 
-/// Reads the number of columns and the rate from the mode of an Ouster sensor. The mode
 /// "1024x10" means 1024 columns at 10 Hz.
 std::pair<int, double> parse_ouster_columns_and_rate(const Json& metadata,
                                                      const std::string& error_location) {
@@ -123,8 +120,7 @@ SensorModel parse_sensor_json(const std::string& json_text, const std::string& s
              shorten_for_error_message(error.what()));
     }
     const JsonField root(json, error_location, "");
-    // An object with "directions" is a sensor of the kind "rays", although it does not
-    // name the kind.
+    // It does not name the kind "rays".
     if (root.has_member("directions")) return make_ray_table_pattern_kind().parse(root, sensor_name);
     if (find_pattern_kind(root)) {
         SensorModel sensor = read_sensor_json(root, sensor_name);

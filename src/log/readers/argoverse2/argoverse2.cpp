@@ -31,12 +31,10 @@ namespace fs = std::filesystem;
 using namespace argoverse2;
 
 constexpr const char* kLidarNames[] = {"up_lidar", "down_lidar"};
-// Maximum difference in nanoseconds between the time of a point and the time of its
-// sweep: two revolutions.
+// two revolutions
 constexpr std::int64_t kLongestOffset_ns = 200'000'000;
 constexpr double kFarthestHit_m = 1e4;  // limit of a point's distance
 
-/// File, time stamp and number of a sweep.
 struct SweepFile {
     int number = 0;
     std::int64_t time_ns = 0;
@@ -64,8 +62,7 @@ std::vector<SweepFile> list_sweeps(const fs::path& folder) {
     return sweeps;
 }
 
-/// Reads a rigid transform from each row of a table: a quaternion w x y z, and a
-/// translation in metres.
+/// Reads a quaternion w x y z and a translation in metres from each row.
 std::vector<Pose> read_pose_from_each_row(const Feather& table) {
     std::vector<double> q[4], t[3];
     const char* quaternion[] = {"qw", "qx", "qy", "qz"};
@@ -83,7 +80,6 @@ std::vector<Pose> read_pose_from_each_row(const Feather& table) {
     return poses;
 }
 
-/// Reads the LiDARs of the log and their poses on the vehicle.
 std::vector<Lidar> read_lidars(const fs::path& calibration_file) {
     const Feather table(calibration_file);
     const std::vector<std::string> names = table.read_text_column("sensor_name");
@@ -94,8 +90,8 @@ std::vector<Lidar> read_lidars(const fs::path& calibration_file) {
         if (row == names.end())
             fail("{}, column 'sensor_name': the sensor {} is missing", table.name(), name);
         const Pose& mounted = poses[std::size_t(row - names.begin())];
-        // Seen from above, both LiDARs rotate clockwise. The lower LiDAR is mounted
-        // upside down, so it rotates counterclockwise in its own frame.
+        // Seen from above, both LiDARs rotate clockwise. The lower one is mounted upside
+        // down.
         const bool upright = (mounted.rotation * glm::dvec3(0, 0, 1)).z > 0.0;
         lidars.push_back({name, make_vlp32c_sensor(upright), mounted});
     }
@@ -106,8 +102,7 @@ double to_seconds_since(std::int64_t time_ns, std::int64_t origin_ns) {
     return double(time_ns - origin_ns) * 1e-9;
 }
 
-/// Reads vehicle poses in the city frame, and interpolates them at the times of the
-/// sweeps.
+/// Interpolates the vehicle poses (city frame) at the times of the sweeps.
 PoseTrack read_poses_at_sweeps(const fs::path& pose_file, const std::vector<SweepFile>& sweeps,
                                std::int64_t origin_ns) {
     const Feather table(pose_file);
@@ -185,8 +180,6 @@ LidarSweepPairs read_sweeps(const std::vector<SweepFile>& files, const std::vect
     return sweeps;
 }
 
-/// Adds a frame with a scan for each sweep and LiDAR. Adds no frame if the LiDAR has no
-/// points in the sweep.
 void append_sweeps_as_frames(LidarSequence& sequence, const std::vector<SweepFile>& sweep_files,
                              const PoseTrack& vehicle_poses, LidarSweepPairs lidar_sweep_points,
                              const ProgressReporter& progress, const ScanErrorCollector& broken_scans) {
@@ -222,8 +215,7 @@ void append_sweeps_as_frames(LidarSequence& sequence, const std::vector<SweepFil
         });
 }
 
-/// Reads the box labels of the loaded sweeps. In the file, a box is in the vehicle frame
-/// at the time of its sweep.
+/// In the file, a box is in the vehicle frame at the time of its sweep.
 std::vector<BoxTrack> read_box_tracks_at_sweeps(const fs::path& annotation_file,
                                                 const std::vector<SweepFile>& sweeps,
                                                 const PoseTrack& vehicle_poses) {

@@ -10,9 +10,8 @@
 
 namespace relidar {
 
-/// Loads an Argoverse 2 log. Frames are numbered in the order of the sweeps. The frames
-/// of both LiDARs in a sweep have the same number and time. The world frame is the city
-/// frame of the dataset.
+/// Frames are numbered in the order of the sweeps. Both LiDARs of a sweep share number
+/// and time. The world frame is the city frame of the dataset.
 /// @throws DataError with file and column
 /// @throws UsageError if no sweep is in the requested frame range
 LidarSequence load_argoverse2(const std::filesystem::path& folder, const DatasetOptions& options);

@@ -29,7 +29,6 @@ std::vector<Beam> make_nominal_vlp32c_beams() {
     return std::get<SpinningSensor>(find_built_in_sensor(kName, 1, kRate_hz)->pattern).beams;
 }
 
-/// Row in the range image, firing delay, and elevation of a laser.
 struct LaserRowTiming {
     std::uint16_t row = 0;
     double after_first_ns = 0.0;
@@ -46,7 +45,7 @@ std::array<LaserRowTiming, kLasers> make_vlp32c_laser_table() {
 }
 
 /// Returns the mean absolute difference between the elevation of a point and of its
-/// laser. Limits each difference to one degree, so that outliers have little influence.
+/// laser. Each difference is at most one degree, so that outliers have little influence.
 double compute_mean_laser_elevation_error(const RawSweep& sweep, int laser_group,
                                           const Pose& vehicle_from_lidar) {
     const std::array<LaserRowTiming, kLasers> laser_table = make_vlp32c_laser_table();
@@ -65,9 +64,8 @@ double compute_mean_laser_elevation_error(const RawSweep& sweep, int laser_group
     return n > 0.0 ? sum / n : 0.0;
 }
 
-/// Returns the index of the firing cycle of each point. All lasers fire once per cycle.
-/// Cycle 0 starts near the time stamp of the sweep. Its exact start is estimated from all
-/// points.
+/// Returns the firing cycle of each point. All lasers fire once per cycle. The start of
+/// cycle 0, near the stamp of the sweep, is estimated from all points.
 std::vector<int> compute_firing_cycle_of_each_point(const std::vector<double>& cycle_start_of_each_point_ns) {
     std::complex<double> sum = 0.0;
     for (const double t : cycle_start_of_each_point_ns) sum += std::polar(1.0, 2.0 * kPi * t / kCycle_ns);

@@ -18,32 +18,27 @@ struct RawSweep {
     std::vector<glm::dvec3> point_m;  ///< [n] position in the vehicle frame at the time of the sweep
     std::vector<double> intensity;    ///< [n] intensity of each point, 0 to 255
     std::vector<std::int64_t> laser;  ///< [n] laser number of each point, 0 to 63
-    /// [n] time of each point minus the time of the sweep, in nanoseconds
     std::vector<std::int64_t> offset_ns;
 };
 
-/// Returns a VLP-32C with the beam angles of the data sheet, highest beam first.
-/// @param clockwise  true if the head rotates clockwise in the sensor frame, seen from +z
+/// VLP-32C with the beam angles of the data sheet, highest beam first.
+/// @param clockwise  in the sensor frame, seen from +z
 SpinningSensor make_vlp32c_sensor(bool clockwise);
 
-/// Finds out which lasers belong to each of the two LiDARs. Returns one value per LiDAR:
-/// 0 for the lasers 0 to 31, and 1 for the lasers 32 to 63. Chooses the assignment for
-/// which the elevations of points and lasers agree best.
+/// Returns for each LiDAR 0 if it has the lasers 0 to 31, or 1 for 32 to 63: the
+/// assignment for which elevations of points and lasers agree best.
 std::array<int, 2> find_laser_group_of_each_lidar(const RawSweep& sweep,
                                                   const std::array<Pose, 2>& vehicle_from_lidar);
 
-/// The points that one LiDAR measured in a sweep.
 struct LidarSweepPoints {
-    /// points with rings, times and firings, each in the frame of the moving LiDAR at the
-    /// time of the point
+    /// with rings, times and firings, in the frame of the LiDAR at the time of each point
     LidarPoints points;
     SweepFirings sweep;
 };
-/// Returns the points of one LiDAR in a sweep. The laser numbers 0 to 31 belong to one
-/// LiDAR, and 32 to 63 to the other LiDAR. The time and the laser of a point give its
-/// firing. Keeps firings without points, for example where the vehicle blocks all beams.
-/// @param world_from_sensor  poses with which the dataset moved the points to the time
-/// of the sweep
+/// Returns the points of one LiDAR. Time and laser of a point give its firing. Keeps
+/// firings without points, for example where the vehicle blocks all beams.
+/// @param world_from_sensor  poses with which the dataset moved the points to the time of
+/// the sweep
 LidarSweepPoints extract_points_of_laser_group(const RawSweep& raw_sweep, int laser_group, const Lidar& lidar,
                                                const PoseTrack& world_from_sensor, double sweep_time_s);
 

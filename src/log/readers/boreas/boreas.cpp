@@ -22,26 +22,21 @@ namespace {
 
 namespace fs = std::filesystem;
 
-// Numbers per line of a pose file: east, north, up, three velocities, roll, pitch, yaw,
-// three angular rates.
+// east, north, up, three velocities, roll, pitch, yaw, three angular rates
 constexpr std::size_t kPoseNumbers = 12;
 constexpr std::size_t kFirstAngle = 6;
 constexpr double kMicrosecond = 1e-6;
 constexpr double kMostGap_s = 0.5;  // maximum time between two poses; the dataset has one pose per scan
-// relidar tests several conventions for the roll, pitch and yaw of the poses. A
-// convention replaces the previous best if its forward-motion score is higher by more
-// than this. The score is 1 if the vehicle always drives exactly forward.
+// Another convention for roll, pitch and yaw must raise the forward-motion score (1: the
+// vehicle always drives forward) by more than this.
 constexpr double kClearlyForward = 0.05;
-// If a new convention for the angles agrees with forward driving about as well as the
-// best one so far, the vertical motion of the vehicle decides. The new convention is used
-// if new / previous standard deviation of the vertical motion is below this.
+// If the scores are similar, the vertical motion decides: new / previous standard
+// deviation must be below this.
 constexpr double kClearlyLevel = 0.7;
-// Minimum number of steps (position changes of at least a metre) in a pose file. With
-// fewer steps, the vertical motion is not used to choose an angle convention.
+// Steps of at least a metre that the vertical motion needs.
 constexpr std::size_t kFewestSteps = 50;
 constexpr double kBrightest = 255.0;
 
-/// Forward direction of the vehicle, in the frame of the LiDAR.
 struct ForwardDirection {
     glm::dvec3 direction{1.0, 0.0, 0.0};
     bool is_known = false;
@@ -49,9 +44,8 @@ struct ForwardDirection {
     double compute_forward_azimuth_rad() const { return std::atan2(direction.y, direction.x); }
 };
 
-/// Reads the forward direction of the vehicle from T_applanix_lidar.txt, the 4x4
-/// transform from the LiDAR to the Applanix frame (x right, y forward, z up). Without
-/// this file, the direction is unknown.
+/// Reads T_applanix_lidar.txt: a 4x4 transform from the LiDAR to the Applanix frame (x
+/// right, y forward, z up).
 ForwardDirection read_forward_direction(const fs::path& calibration_file) {
     if (!does_path_exist(calibration_file)) return {};
     const auto m = parse_numbers(read_text_file(calibration_file));
@@ -65,14 +59,13 @@ ForwardDirection read_forward_direction(const fs::path& calibration_file) {
     return {inverse(applanix_from_lidar).rotation * glm::dvec3(0, 1, 0), true};
 }
 
-/// Convention for the angles in pose files: how roll, pitch and yaw define the rotation
-/// from the LiDAR to the world.
+/// How roll, pitch and yaw define the rotation from the LiDAR to the world.
 struct EulerAngleConvention {
     const char* name;
     double sign;     ///< sign of the angles
     bool yaw_first;  ///< if true, vectors are rotated by yaw first; if false, by roll first
 };
-// the documented convention
+// The first is the documented convention.
 constexpr EulerAngleConvention kAngleOrders[] = {{"R_x(-roll) R_y(-pitch) R_z(-yaw)", -1.0, true},
                                                  {"R_z(yaw) R_y(pitch) R_x(roll)", 1.0, false},
                                                  {"R_z(-yaw) R_y(-pitch) R_x(-roll)", -1.0, false},
@@ -97,15 +90,14 @@ PoseTrack make_lidar_pose_track(const std::vector<stamped::StampedPoseRow>& pose
     return track;
 }
 
-/// Returns how well the motion of the vehicle agrees with its forward direction. 1 is
-/// perfect.
+/// 1 is perfect.
 double compute_forward_motion_score(const stamped::DrivingDirection& driving,
                                     const ForwardDirection& forward) {
     return forward.is_known ? glm::dot(driving.mean, forward.direction) : glm::length(driving.mean);
 }
 
-/// Reads the LiDAR poses with the documented convention for roll, pitch and yaw. Uses
-/// another one if the vehicle then drives more exactly forward or moves less up and down.
+/// Uses another angle convention than the documented one if the vehicle then drives more
+/// exactly forward or moves less up and down.
 PoseTrack read_boreas_poses(const fs::path& pose_file, const stamped::StampedLog& log,
                             const ForwardDirection& forward_direction, Notes& notes) {
     const std::vector<stamped::StampedPoseRow> rows =

@@ -9,9 +9,8 @@
 
 namespace relidar {
 
-/// Loads a sequence of the Boreas dataset. Its scans become the frames, sorted by time.
-/// The vehicle frame is the LiDAR frame, rotated so that x points forward. The world
-/// frame is East-North-Up.
+/// Frames are sorted by time. The vehicle frame is the LiDAR frame, rotated so that x
+/// points forward. The world frame is East-North-Up.
 /// @throws DataError with file and line
 /// @throws UsageError if no scan is in the requested range
 LidarSequence load_boreas_dataset(const std::filesystem::path& folder, const DatasetOptions& options);

@@ -23,18 +23,15 @@ namespace {
 
 namespace fs = std::filesystem;
 
-// If more scans than this number are between two poses, the unit of the times is probably
-// wrong.
+// With more scans between two poses, the unit of the times is probably wrong.
 constexpr double kMostScansPerPose = 20.0;
-// Frames outside the time of the poses are accepted if they are at most this much earlier
-// or later. The limit is about one sweep.
+// Frames may be this much outside the times of the poses, about one sweep.
 constexpr double kMostBeyond_s = 0.1;
 constexpr double kLargestOfTrack = 1e12;  // maximum value of all lengths and times
 constexpr double kUnit = 1e-3;            // tolerance of a quaternion's length
 
 const std::vector<std::string> kPoseNames{"time_s", "x", "y", "z", "qw", "qx", "qy", "qz"};
 
-/// Removes a comment, which begins with '#', from a line.
 std::string_view strip_comment(const std::string& line) {
     return trim_blanks_at_both_ends(std::string_view(line).substr(0, line.find('#')));
 }
@@ -49,8 +46,8 @@ std::vector<std::string_view> split_at_spaces(std::string_view line) {
     return words;
 }
 
-/// Returns true for a line with column names. This is a comment that contains "qw", or a
-/// line whose first word is not a number.
+/// Column names are in a comment that contains "qw", or in a line whose first word is not
+/// a number.
 bool is_line_of_column_names(const std::string& line) {
     const std::vector<std::string_view> words = split_at_spaces(
         trim_blanks_at_both_ends(line).substr(trim_blanks_at_both_ends(line).starts_with('#') ? 1 : 0));
@@ -58,8 +55,8 @@ bool is_line_of_column_names(const std::string& line) {
     return !words.empty() && !parse_number(words[0]);
 }
 
-/// Parses a line with column names. Returns the column index of each name in kPoseNames.
-/// Also accepts the names of the TUM format for time and position.
+/// Returns the column index of each name in kPoseNames. Accepts the names of the TUM
+/// format, too.
 std::vector<int> find_pose_columns(const std::string& header_line, const std::string& error_location) {
     std::vector<std::string_view> words =
         split_at_spaces(trim_blanks_at_both_ends(header_line)
@@ -74,15 +71,12 @@ std::vector<int> find_pose_columns(const std::string& header_line, const std::st
     return at;
 }
 
-/// Rows of numbers in a pose file. Each row contains a time, a position, and a quaternion
-/// or three angles.
+/// A row has a time, a position, and a quaternion or three angles.
 struct PoseRows {
     std::vector<std::vector<double>> rows;
     bool has_names = false;  ///< true if a line with column names defines the order of the columns
 };
 
-/// Parses the numbers in a line.
-/// @param expected_count_or_zero  expected number of values; 0 means 7 or 8
 std::vector<double> parse_pose_row(const std::string& line, std::size_t expected_count_or_zero,
                                    const std::string& error_location) {
     const auto v = parse_numbers(strip_comment(line));
@@ -97,8 +91,8 @@ std::vector<double> parse_pose_row(const std::string& line, std::size_t expected
     return *v;
 }
 
-/// Throws for pose files without times. Otherwise their rows (x y z and a quaternion)
-/// would be read as a time, a position and three angles.
+/// Without times, x y z and a quaternion would be read as a time, a position and three
+/// angles.
 void throw_if_pose_rows_lack_times(const PoseRows& pose_rows, const std::string& file_name) {
     const auto ends_with_quaternion = [](const std::vector<double>& row) {
         return row.size() == 7 &&
@@ -141,8 +135,6 @@ PoseRows parse_pose_rows(const std::vector<std::string>& lines, const std::strin
     return rows;
 }
 
-/// Converts the rows of a pose file to a track.
-/// @param rotation_of_row  function that returns the rotation in a row
 template <class RotationOf>
 PoseTrack make_pose_track_of_rows(const PoseRows& pose_rows, const RotationOf& rotation_of_row) {
     PoseTrack track;
@@ -158,8 +150,7 @@ PoseTrack invert_track(PoseTrack track) {
     return track;
 }
 
-/// Adds the inverse poses to a list of possible meanings, because a pose file may contain
-/// sensor-from-world poses.
+/// A pose file may contain sensor-from-world poses.
 std::vector<PoseInterpretation> append_inverse_interpretations(
     std::vector<PoseInterpretation> interpretations) {
     const std::size_t n = interpretations.size();
@@ -169,8 +160,8 @@ std::vector<PoseInterpretation> append_inverse_interpretations(
     return interpretations;
 }
 
-/// Returns all possible meanings of the numbers in a pose file, for example another order
-/// of the quaternion. The documented meaning is first.
+/// Returns all meanings of the numbers, such as another order of the quaternion. The
+/// documented one is first.
 std::vector<PoseInterpretation> list_possible_pose_conventions(const PoseRows& pose_rows) {
     using Row = std::vector<double>;
     const auto angles = [](const Row& row, double unit) {
@@ -197,8 +188,8 @@ std::vector<PoseInterpretation> list_possible_pose_conventions(const PoseRows& p
     return append_inverse_interpretations(std::move(readings));
 }
 
-/// Returns a hint to the probable cause if poses do not cover the frames: another unit,
-/// leap seconds or another clock.
+/// Returns a hint if poses do not cover the frames: another unit, leap seconds or another
+/// clock.
 std::string describe_clock_difference(const PoseTrack& track, const std::vector<SequenceHeaderFrame>& frames,
                                       bool is_plain_folder) {
     // maximum relative difference of equal times or durations in different units
@@ -249,8 +240,8 @@ std::vector<Pose> interpolate_poses_at_frames(const PoseTrack& track,
     return poses;
 }
 
-/// Adds a note if the poses are much farther apart in time than the scans. The usual
-/// cause is a wrong unit of the times.
+/// Notes poses that are much farther apart than the scans, usually because of a wrong
+/// unit.
 void add_note_if_poses_are_sparse(const PoseTrack& track, const std::vector<SequenceHeaderFrame>& frames,
                                   const std::string& file_name, Notes& notes) {
     std::vector<double> frame_times_s;
@@ -321,8 +312,7 @@ std::optional<std::vector<Pose>> read_frame_poses(const fs::path& pose_file,
         if (rows.rows.empty())
             fail("{}: the file has no pose, expected lines of 12 or 8 numbers", pose_file.string());
         const std::vector<PoseInterpretation> readings = list_possible_pose_conventions(rows);
-        // Only relidar writes these column names. The meaning of the numbers is therefore
-        // certain.
+        // Only relidar writes these names, so the meaning is certain.
         const bool is_certain = rows.has_names && lines[0].find(kPoseNames[0]) != std::string::npos;
         const std::size_t k = is_certain
                                   ? 0

@@ -20,7 +20,6 @@ namespace {
 namespace fs = std::filesystem;
 using folder::SequenceHeaderFrame;
 
-/// Returns the frames in the requested range whose scan file exists.
 /// @throws DataError if a scan file is missing and missing scans are not allowed
 /// @throws UsageError if the range contains no scan file
 std::vector<SequenceHeaderFrame> select_requested_frames(const folder::SequenceHeader& sequence_header,
@@ -47,7 +46,6 @@ std::vector<SequenceHeaderFrame> select_requested_frames(const folder::SequenceH
     return frames;
 }
 
-/// Returns the points of an image file in the frame of the LiDAR.
 std::vector<glm::vec3> read_points_of_image(const folder::SequenceHeader& sequence_header,
                                             const SequenceHeaderFrame& frame) {
     folder::PointFileUnits units = sequence_header.units;
@@ -61,7 +59,7 @@ std::vector<glm::vec3> read_points_of_image(const folder::SequenceHeader& sequen
     return points;
 }
 
-/// Reads pairs of consecutive scans of the first LiDAR, evenly spread over the log. Skips
+/// Reads consecutive scans of the first LiDAR, evenly spread over the log. Skips
 /// unreadable files.
 folder::OverlapScanPairs read_consecutive_scan_pairs(const folder::SequenceHeader& sequence_header,
                                                      const std::vector<SequenceHeaderFrame>& frames) {
@@ -96,8 +94,8 @@ folder::OverlapScanPairs read_consecutive_scan_pairs(const folder::SequenceHeade
     return pairs;
 }
 
-/// Reads the vehicle poses in poses.txt. If the file is missing or damaged and the user
-/// selected another source of poses, returns identity poses.
+/// Returns identity poses if poses.txt is missing or damaged and the user selected other
+/// poses.
 std::vector<Pose> read_vehicle_poses_or_identities(const fs::path& folder,
                                                    const folder::SequenceHeader& sequence_header,
                                                    const std::vector<SequenceHeaderFrame>& frames,
@@ -123,8 +121,7 @@ std::vector<Pose> read_vehicle_poses_or_identities(const fs::path& folder,
         file.string());
 }
 
-/// Replaces the vehicle poses of the log by poses from a file. The boxes move with the
-/// vehicle.
+/// The boxes move with the vehicle.
 void replace_vehicle_poses(LidarSequence& sequence, const folder::SequenceHeader& sequence_header,
                            const std::vector<SequenceHeaderFrame>& frames, const fs::path& pose_file) {
     PoseTrack track{sequence.world_from_vehicle.time_s, {}};

@@ -10,7 +10,7 @@
 
 namespace relidar {
 
-/// Loads a LiDAR log from a folder with sequence.json, poses.txt, boxes.json and scans.
+/// Reads sequence.json, poses.txt, boxes.json and scans.
 /// @throws DataError that names the file and the field
 LidarSequence load_plain_folder(const std::filesystem::path& folder, const DatasetOptions& options);
 

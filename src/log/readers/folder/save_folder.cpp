@@ -34,8 +34,6 @@ std::string make_sensor_file_name(std::size_t lidar_index) {
     return fmt::format("sensor_{}.json", lidar_index);
 }
 
-/// Returns the JSON object of a LiDAR for sequence.json.
-/// @param lidar_index  index of the LiDAR in the log
 Json make_json(const Lidar& lidar, std::size_t lidar_index) {
     const Pose& mounting = lidar.vehicle_from_sensor;
     return {
@@ -104,7 +102,6 @@ std::string format_boxes_json(const LidarSequence& sequence) {
     return json.dump(1, ' ', false, Json::error_handler_t::replace) + "\n";
 }
 
-/// Returns true if save_folder() may have written an entry of a log folder.
 bool is_entry_of_saved_log(const fs::path& entry) {
     const std::string name = entry.filename().string();
     if (name == folder::kHeadFile || name == folder::kPosesFile || name == folder::kBoxesFile) return true;

@@ -20,16 +20,14 @@
 namespace relidar::kitti {
 namespace {
 
-// Ticks of the rotary encoder per revolution of an HDL-64E (0.09 degrees per tick),
-// measured on KITTI (2011_09_26_drive_0005).
+// ticks of the encoder per revolution of an HDL-64E, measured on KITTI
+// (2011_09_26_drive_0005)
 constexpr int kEncoderTicks = 4000;
 // maximum azimuth offset of a beam from the head; real HDL-64Es have at most 0.16 rad
 constexpr double kMaxOffset_rad = 0.35;
-// The sensor fired at an encoder tick if at least this many beams have a return there.
-// Fewer returns can be stray points.
+// A firing has returns of at least this many beams. Fewer can be stray points.
 constexpr int kMinLasers = 4;
 
-/// Azimuth and inverse distance from the spin axis, for each point of one beam.
 struct BeamPolarPoints {
     std::vector<double> azimuth_rad, inverse_rho;
 };
@@ -41,8 +39,8 @@ std::array<BeamPolarPoints, kRings> convert_far_points_to_polar_by_ring(
         for (std::size_t i = 0; i < scan->points.size(); ++i) {
             const glm::dvec4 p(scan->points[i]);
             const double rho = std::hypot(p.x, p.y);
-            // Skips near points. The files are rounded to about a millimetre, so the
-            // azimuths of near points are inaccurate.
+            // The files are rounded to a millimetre, so azimuths of near points are
+            // inaccurate.
             if (rho < 2.0) continue;
             polar[scan->ring[i]].azimuth_rad.push_back(std::atan2(p.y, p.x));
             polar[scan->ring[i]].inverse_rho.push_back(1.0 / rho);
@@ -52,8 +50,8 @@ std::array<BeamPolarPoints, kRings> convert_far_points_to_polar_by_ring(
 }
 
 /// Returns the mean of exp(2 pi i (azimuth - lateral_offset_m / distance) / tick) over
-/// every `point_stride`-th point of a beam. Its argument is the phase of the azimuths
-/// relative to the encoder ticks. Its absolute value is 1 if all points fit the ticks.
+/// every `point_stride`-th point. Its argument is the phase of the azimuths; its absolute
+/// value is 1 if all points fit the ticks.
 std::complex<double> compute_mean_encoder_tick_phase(const BeamPolarPoints& beam_points,
                                                      double encoder_tick_rad, double lateral_offset_m,
                                                      std::size_t point_stride) {
@@ -67,16 +65,14 @@ std::complex<double> compute_mean_encoder_tick_phase(const BeamPolarPoints& beam
     return n > 0 ? sum / static_cast<double>(n) : sum;
 }
 
-/// Parameters that are fitted to the points of one beam. The rotating head fires at ticks
-/// (multiples of a fixed angle). The azimuth of a point is tick + phase_rad + left_m /
-/// distance from the spin axis. left_m: distance of the beam from the spin axis, positive
-/// to the left. concentration: quality of the fit, from 0 to 1 (perfect).
+/// Model of a beam: azimuth = tick + phase_rad + left_m / distance from the spin axis.
+/// `concentration` is the quality of the fit, 0 to 1.
 struct TickGridPhase {
     double left_m = 0.0, phase_rad = 0.0, concentration = 0.0;
 };
 
-/// Refines a beam's azimuth offset (phase_rad) and lateral offset (left_m). Least-squares
-/// model: azimuth = n * encoder_tick_rad + phase_rad + left_m / distance, n: an integer.
+/// Least squares of azimuth = n * encoder_tick_rad + phase_rad + left_m / distance, n
+/// integer.
 void refine_phase_by_least_squares(TickGridPhase& phase, const BeamPolarPoints& polar,
                                    double encoder_tick_rad) {
     double n = 0, su = 0, se = 0, suu = 0, sue = 0;
@@ -92,8 +88,8 @@ void refine_phase_by_least_squares(TickGridPhase& phase, const BeamPolarPoints& 
         sue += u * e;
     }
     const double spread = n * suu - su * su;
-    // If all points have similar distances, the lateral offset of the beam cannot be
-    // separated from its azimuth offset.
+    // At similar distances, the lateral offset cannot be separated from the azimuth
+    // offset.
     if (n < 16 || spread < 1e-4 * n * n) return;
     const double left = (n * sue - su * se) / spread;
     phase.left_m += left;
@@ -107,11 +103,10 @@ TickGridPhase fit_azimuth_phase_of_beam(const BeamPolarPoints& polar, double enc
         const std::complex<double> mean =
             compute_mean_encoder_tick_phase(polar, encoder_tick_rad, mm * 1e-3, stride);
         const double gain = std::abs(mean) - best.concentration;
-        // Keeps the lateral beam offset (-60 to 60 mm) that fits the encoder ticks best.
+        // searches the lateral offset from -60 to 60 mm
         if (mm == -60 || gain > 0.0)
             best = {mm * 1e-3, std::arg(mean) * encoder_tick_rad / (2.0 * kPi), std::abs(mean)};
     }
-    // Prefers offset 0 if it fits nearly as well.
     const std::complex<double> none = compute_mean_encoder_tick_phase(polar, encoder_tick_rad, 0.0, stride);
     if (std::abs(none) > best.concentration - 0.02)
         best = {0.0, std::arg(none) * encoder_tick_rad / (2.0 * kPi), std::abs(none)};
@@ -141,9 +136,8 @@ TickGridPhasesByRing fit_encoder_tick_phase_of_each_ring(
     return phases;
 }
 
-/// Estimates the firings per revolution from the mean azimuth step between consecutive
-/// points of a beam. Ignores steps longer than 1.5 times the median, because there are
-/// dropped rays in between.
+/// Uses the mean azimuth step within a beam. Ignores steps longer than 1.5 medians, which
+/// contain dropped rays.
 int estimate_firings_per_revolution(const std::vector<const ScanWithRings*>& scans) {
     std::vector<double> steps;
     for (const ScanWithRings* scan : scans) {
@@ -165,8 +159,6 @@ int estimate_firings_per_revolution(const std::vector<const ScanWithRings*>& sca
     return std::max(static_cast<int>(std::lround(2.0 * kPi * n / sum)), 1);
 }
 
-/// [beams] encoder ticks at which each beam has points in one scan, not yet corrected by
-/// the offset of the beam
 using EncoderTicksByBeam = std::vector<std::vector<int>>;
 
 EncoderTicksByBeam compute_encoder_ticks_per_beam(const ScanWithRings& scan,
@@ -184,10 +176,8 @@ EncoderTicksByBeam compute_encoder_ticks_per_beam(const ScanWithRings& scan,
     return ticks;
 }
 
-/// Returns [scans][ticks] flags. A flag is true if at least `min_beams` beams have a
-/// return at the tick (azimuth step of the LiDAR's rotary encoder).
-/// @param tick_shift_of_each_beam  [beams] azimuth offset of each beam in ticks. It is
-/// subtracted from the tick of each return of the beam.
+/// Returns [scans][ticks] flags of ticks with returns of at least `min_beams` beams.
+/// @param tick_shift_of_each_beam  subtracted from the ticks of the beam
 std::vector<std::vector<char>> flag_ticks_with_returns_of_enough_beams(
     const std::vector<EncoderTicksByBeam>& ticks_of_scans, const std::vector<int>& tick_shift_of_each_beam,
     int n_ticks, int min_beams) {
@@ -205,16 +195,15 @@ std::vector<std::vector<char>> flag_ticks_with_returns_of_enough_beams(
     return pattern;
 }
 
-/// Returns a tick in [0, n_ticks). The argument is at most one turn outside this range.
+/// The argument is at most one turn outside of [0, n_ticks).
 int wrap_encoder_tick(int tick, int n_ticks) {
     if (tick < 0) return tick + n_ticks;
     return tick >= n_ticks ? tick - n_ticks : tick;
 }
 
-/// Returns the azimuth offset of a beam in encoder ticks. The offset is subtracted from
-/// the tick of each return of this beam. The best offset moves the most returns to ticks
-/// at which other beams have returns. Returns 0 if no offset is clearly better than 0.
-/// @param is_tick_fired  [scans][ticks] true if other beams have returns at the tick
+/// Returns the offset of a beam that moves most returns to ticks with returns of other
+/// beams, or 0 if no offset is clearly better.
+/// @param is_tick_fired  [scans][ticks]
 int find_encoder_tick_offset_of_ring(const std::vector<EncoderTicksByBeam>& ticks_of_scans, std::size_t ring,
                                      const std::vector<std::vector<char>>& is_tick_fired, int n_ticks,
                                      int max_shift) {
@@ -255,9 +244,8 @@ std::vector<int> find_tick_shift_of_each_ring(const std::vector<EncoderTicksByBe
     }
     std::vector<int> shift(kRings, 0);
     auto pattern = flag_ticks_with_returns_of_enough_beams(reference, shift, n_ticks, 1);
-    // Each pass shifts each beam in azimuth, so that its returns are at the ticks that
-    // `pattern` marks. Pass 1: ticks with returns of the beam that has the most points.
-    // Pass 2: ticks at which at least kMinLasers beams have returns after pass 1.
+    // Pass 1 aligns all beams with the beam that has the most points, pass 2 with the
+    // ticks that have returns of kMinLasers beams.
     for (int pass = 0; pass < 2; ++pass) {
         parallel_for(kRings, [&](int k) {
             shift[static_cast<std::size_t>(k)] = find_encoder_tick_offset_of_ring(
@@ -280,9 +268,7 @@ std::vector<Beam> BeamFiringGrid::make_beams_with_fitted_elevations(const BeamCo
 }
 
 BeamFiringGrid fit_beam_firing_grid(const std::vector<const ScanWithRings*>& scans) {
-    // Minimum quality (concentration) of the fit of the point azimuths to the steps
-    // (ticks) of the head's encoder. It is 1 if all azimuths are exactly on ticks, and 0
-    // if they are unrelated to the ticks.
+    // minimum concentration of azimuths at encoder ticks
     constexpr double kMinConcentration = 0.8;
     const std::array<BeamPolarPoints, kRings> polar = convert_far_points_to_polar_by_ring(scans);
     BeamFiringGrid lattice;
@@ -307,8 +293,7 @@ BeamFiringGrid fit_beam_firing_grid(const std::vector<const ScanWithRings*>& sca
         for (std::size_t k = 0; k < kRings; ++k)
             lattice.offset_rad[k] += shift[k] * lattice.head.compute_azimuth_per_tick_rad();
     }
-    // Shifts the azimuth offsets of all beams so that their mean is 0. The head then
-    // faces the mean direction of the beams.
+    // The head faces the mean direction of the beams.
     const double mean_rad =
         std::accumulate(lattice.offset_rad.begin(), lattice.offset_rad.end(), 0.0) / kRings;
     for (double& offset_rad : lattice.offset_rad) offset_rad -= mean_rad;

@@ -27,9 +27,8 @@ double compute_height_residual_m(const BeamCone& cone, const RhoHeightSample& sa
     return sample.z_m - cone.z0_m - sample.rho_m * cone.tan_el;
 }
 
-/// Fits the line z = z0 + rho tan(elevation) to points of a beam by least squares. rho is
-/// the horizontal distance. Ignores points more than max_residual_m above or below
-/// `previous_line`.
+/// Least squares of z = z0 + rho tan(elevation) with the horizontal distance rho. Ignores
+/// points more than max_residual_m above or below `previous_line`.
 BeamCone fit_line_to_inliers(const std::vector<RhoHeightSample>& samples, const BeamCone& previous_line,
                              double max_residual_m) {
     double n = 0, sr = 0, sz = 0, srr = 0, srz = 0;
@@ -42,9 +41,8 @@ BeamCone fit_line_to_inliers(const std::vector<RhoHeightSample>& samples, const 
         srz += s.rho_m * s.z_m;
     }
     const double spread = n * srr - sr * sr;
-    // Coordinates have rounding errors of 0.3 mm. So the slope is inaccurate if all
-    // points have similar distances rho. spread / n is the sum of (rho - mean of rho)^2.
-    // If it is at least 36 m^2, the slope error is below 5e-5.
+    // Coordinates have rounding errors of 0.3 mm. If the sum of (rho - mean)^2 per point
+    // is at least 36 m^2, the slope error is below 5e-5.
     if (n < 16 || spread < 36.0 * n) return {};
     const double slope = (n * srz - sr * sz) / spread;
     return {(sz - slope * sr) / n, slope, static_cast<std::size_t>(n)};
@@ -56,17 +54,15 @@ BeamCone fit_beam_cone_robustly(const std::vector<RhoHeightSample>& samples) {
         std::vector<double> error;
         for (const RhoHeightSample& s : samples)
             error.push_back(std::abs(compute_height_residual_m(cone, s)));
-        // Converts the median absolute error to the standard deviation of a normal
-        // distribution.
+        // Standard deviation of a normal distribution from the median absolute error.
         const double sigma = 1.4826 * compute_median(std::move(error));
         cone = fit_line_to_inliers(samples, cone, std::max(3.0 * sigma, 1e-3));
     }
     return cone;
 }
 
-/// Heights at which the 32 beams of one laser block cross the spin axis, in metres:
-/// z0 = mean_z0 + slope * (tan_elevation - mean_tan). The means are over those beams of
-/// the block that could be fitted.
+/// Heights at which the 32 beams of a laser block cross the spin axis: z0 = mean_z0 +
+/// slope * (tan_elevation - mean_tan). The means are over the fitted beams.
 struct LaserHeightFit {
     double mean_tan = 0.0, mean_z0 = 0.0, slope = 0.0;
     double compute_height_m(double tan_elevation) const {
@@ -74,8 +70,6 @@ struct LaserHeightFit {
     }
 };
 
-/// Fits a line to the heights of the beams in `fitted_rings`, which belong to one laser
-/// block. The height is a linear function of tan(elevation).
 LaserHeightFit fit_beam_height_to_tan_elevation(const BeamCones& cones,
                                                 const std::vector<std::size_t>& fitted_rings) {
     LaserHeightFit line;
@@ -93,9 +87,8 @@ LaserHeightFit fit_beam_height_to_tan_elevation(const BeamCones& cones,
     return line;
 }
 
-/// Returns the median of tan(elevation) over the points of one beam. Used if all points
-/// have similar distances, so that no line can be fitted to them. `block_height_fit`
-/// gives the beam's height; it was fitted to other beams of the same block of 32 lasers.
+/// Median of tan(elevation) over the points of a beam whose distances are too similar for
+/// a line. Its height is that of the block.
 double estimate_tan_elevation_at_known_height(const std::vector<RhoHeightSample>& samples,
                                               const LaserHeightFit& block_height_fit,
                                               double initial_tan_elevation) {
@@ -109,8 +102,7 @@ double estimate_tan_elevation_at_known_height(const std::vector<RhoHeightSample>
     return initial_tan_elevation;
 }
 
-/// Estimates height and elevation of each beam that could not be fitted. Uses the fitted
-/// beams in the same half of the 64 beams.
+/// Uses the fitted beams in the same half of the 64 beams.
 void estimate_missing_beam_cones(BeamCones& cones,
                                  const std::array<std::vector<RhoHeightSample>, kRings>& samples_of_rings,
                                  const std::string& error_location) {
@@ -140,8 +132,7 @@ void estimate_missing_beam_cones(BeamCones& cones,
     }
 }
 
-/// Returns the ring of a group of consecutive points. The points of each ring are on a
-/// cone. Chooses the cone with the smallest median distance from the points.
+/// Returns the ring whose cone has the smallest median distance from consecutive points.
 int find_nearest_ring_of_points(const ScanWithRings& scan, std::size_t begin_point, std::size_t end_point,
                                 const BeamCones& cones) {
     const std::size_t step = std::max<std::size_t>((end_point - begin_point) / 32, 1);
@@ -186,7 +177,7 @@ BeamCones fit_cone_of_each_ring(const std::vector<const ScanWithRings*>& scans,
     int most = 0;
     for (const ScanWithRings* scan : scans) {
         most = std::max(most, scan->n_rings);
-        // Accepts 65 rings too. A single stray point can look like the start of a ring.
+        // A stray point can look like the start of a 65th ring.
         if (scan->n_rings != kRings && scan->n_rings != kRings + 1) continue;
         for (std::size_t i = 0; i < scan->points.size(); ++i) {
             const glm::dvec4 p(scan->points[i]);

@@ -17,7 +17,6 @@ namespace relidar::kitti {
 
 constexpr int kRings = 64;
 
-/// The points of a scan in file order, and their beams. Beam 0 is the highest.
 struct ScanWithRings {
     std::vector<glm::vec4> points;  ///< x, y, z in metres in the sensor frame, and reflectance
     std::vector<std::uint8_t> ring;
@@ -25,8 +24,7 @@ struct ScanWithRings {
     std::vector<SurfaceClass> classes;  ///< [points] classes; empty if the points have no labels
 };
 
-/// All points of a rotating beam lie on this cone: z = z0 + tan_el * distance from the
-/// spin axis.
+/// cone of a beam: z = z0 + tan_el * distance from the spin axis
 struct BeamCone {
     double z0_m = 0.0;  ///< height at which the beam crosses the spin axis
     double tan_el = 0.0;
@@ -34,20 +32,18 @@ struct BeamCone {
 };
 using BeamCones = std::array<BeamCone, kRings>;
 
-/// Splits the points of a KITTI scan into rings. The file stores one ring after the
-/// other, and each ring starts at the forward direction. A new ring begins where the
-/// azimuth changes from the 4th to the 1st quadrant. Ring numbers are limited to 63.
+/// The file stores ring after ring, each starting at the forward direction. A new ring
+/// begins where the azimuth changes from the 4th to the 1st quadrant. Ring numbers are
+/// limited to 63.
 ScanWithRings split_points_into_rings(std::vector<glm::vec4> points);
 
-/// Fits a cone to each ring by robust least squares. Uses all complete scans (64 rings).
-/// @param error_location  name of the log, for error messages
+/// Uses robust least squares and all complete scans (64 rings).
 /// @throws DataError if no scan is complete, or too few rings have enough returns
 BeamCones fit_cone_of_each_ring(const std::vector<const ScanWithRings*>& scans,
                                 const std::string& error_location);
 
-/// Corrects the ring numbers of points that are nearer to the cone of another ring. Rings
-/// were counted in file order. This fails if a beam has no returns, or if the last point
-/// of a ring was rounded to azimuth 0, where the next ring starts.
+/// Moves points to the ring whose cone is nearer. Counting rings fails if a beam has no
+/// returns, or if the last point of a ring was rounded to azimuth 0.
 void correct_ring_numbers(ScanWithRings& scan, const BeamCones& cones);
 
 }  // namespace relidar::kitti

@@ -28,7 +28,6 @@ namespace {
 namespace fs = std::filesystem;
 using namespace kitti;
 
-/// The requested drive and frames.
 struct RequestedDrive {
     std::string name;  ///< name of its folders
     FrameRange frames;
@@ -65,11 +64,10 @@ RequestedDrive choose_drive(const fs::path& folder, const DatasetOptions& option
         shorten_for_error_message(fmt::format("{}", fmt::join(drives, ", "))));
 }
 
-/// Returns the LiDAR poses in the world frame, by frame number. Some frames have no pose.
+/// Some frames have no pose.
 std::map<int, Pose> read_lidar_pose_per_frame(const fs::path& dataset_folder, const std::string& drive_name) {
     const fs::path calibration = dataset_folder / "calibration";
     const Pose imu_from_cam0 = read_transform_of_key(calibration / "calib_cam_to_pose.txt", "image_00");
-    // the file contains a single line of 12 numbers
     const Pose velo_from_cam0 = read_pose_matrices(calibration / "calib_cam_to_velo.txt", {0}).front();
     std::map<int, Pose> poses =
         read_poses_by_frame_number(dataset_folder / "data_poses" / drive_name / "poses.txt");
@@ -77,8 +75,8 @@ std::map<int, Pose> read_lidar_pose_per_frame(const fs::path& dataset_folder, co
     return poses;
 }
 
-/// Returns the pose of a frame. Interpolates a missing pose if its neighbours are at most
-/// half a second apart, or if the car stands still. Otherwise returns nothing.
+/// Interpolates a missing pose if its neighbours are at most half a second apart, or if
+/// the car stands still.
 std::optional<Pose> find_or_interpolate_pose(const std::map<int, Pose>& poses_by_frame, int frame_number) {
     constexpr int kMaxFrameGap = 5;
     constexpr double kStanding_m = 0.2;
@@ -94,8 +92,6 @@ std::optional<Pose> find_or_interpolate_pose(const std::map<int, Pose>& poses_by
     return interpolate(before->second, after->second, double(frame_number - before->first) / apart);
 }
 
-/// Adds all frames with a pose to the log. Adds notes for the user about interpolated and
-/// missing poses.
 void add_frames_with_pose(LidarSequence& sequence, const std::vector<int>& frame_numbers,
                           const std::vector<double>& frame_times_s,
                           const std::map<int, Pose>& poses_by_frame) {
@@ -119,8 +115,8 @@ void add_frames_with_pose(LidarSequence& sequence, const std::vector<int>& frame
                                              format_number_list(without)));
 }
 
-/// Adds frames, poses and boxes to the log. Leaves out the boxes if the poses are from a
-/// user's file, because boxes are in the dataset's world frame.
+/// Boxes are in the world of the dataset, so they are left out if only the user has
+/// poses.
 void add_frames_and_boxes(LidarSequence& sequence, const fs::path& dataset_folder,
                           const RequestedDrive& drive, const std::vector<int>& frame_numbers,
                           const fs::path& user_pose_file) {

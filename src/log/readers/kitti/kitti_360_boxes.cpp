@@ -23,8 +23,7 @@
 namespace relidar::kitti {
 namespace {
 
-/// A class of objects that can move. All other classes (buildings, ground, poles) belong
-/// to the background.
+/// All other classes (buildings, ground, poles) belong to the background.
 struct MovableClass {
     int id;
     const char* name;
@@ -36,9 +35,7 @@ constexpr MovableClass kMovable[] = {
     {19, "person", "pedestrian"}, {20, "rider", "rider"},           {34, "bus", "bus"},
 };
 
-/// Reads an integer from an XML element, or returns `default_value` if the element does
-/// not exist.
-/// @throws DataError if the text is not an integer
+/// @throws DataError if the element is no integer; a missing element is `default_value`
 int read_integer_field(const pugi::xml_node& object, const char* field_name, std::optional<int> default_value,
                        const std::string& error_location) {
     constexpr double kLargest = 1e8;
@@ -51,8 +48,8 @@ int read_integer_field(const pugi::xml_node& object, const char* field_name, std
     return static_cast<int>(*value);
 }
 
-/// Returns the class of an object, or null for classes that cannot move, like buildings.
-/// Drive 0004 of KITTI-360 has text labels instead of class numbers.
+/// Returns null for classes that cannot move. Drive 0004 has labels instead of class
+/// numbers.
 const MovableClass* find_movable_class(const pugi::xml_node& object, const std::string& error_location) {
     const bool has_number = !object.child("semanticId").empty();
     const int id = has_number ? read_integer_field(object, "semanticId", {}, error_location) : 0;
@@ -63,8 +60,7 @@ const MovableClass* find_movable_class(const pugi::xml_node& object, const std::
     return nullptr;
 }
 
-/// Reads the 4x4 transform of an object from a unit cube to the world. The transform
-/// contains the pose and the size of the object.
+/// Reads the transform from a unit cube to the world, which contains pose and size.
 glm::dmat4 read_box_transform(const pugi::xml_node& object, const std::string& error_location) {
     const pugi::xml_node matrix = object.child("transform");
     const int rows = read_integer_field(matrix, "rows", {}, error_location + ": transform"),
@@ -88,9 +84,7 @@ glm::dmat4 read_box_transform(const pugi::xml_node& object, const std::string& e
     return m;
 }
 
-/// Computes the size and the pose of a box from its transform. If the transform contains
-/// a reflection, flips the width axis. The box stays the same, but its rotation becomes
-/// valid.
+/// If the transform contains a reflection, flips the width axis.
 void set_box_size_and_pose_from_transform(BoxLabel& label, const glm::dmat4& world_from_unit_box,
                                           const std::string& error_location) {
     glm::dmat3 axes(world_from_unit_box);
@@ -107,8 +101,7 @@ void set_box_size_and_pose_from_transform(BoxLabel& label, const glm::dmat4& wor
                                                         error_location + ": transform");
 }
 
-/// Returns the track id of an object: semanticId * 1000 + instanceId. Objects of drive
-/// 0004 have no such numbers, so their id consists of class, "moving" and index.
+/// The id is semanticId * 1000 + instanceId; in drive 0004, class, "moving" and index.
 std::string make_kitti_track_id(const pugi::xml_node& object, const MovableClass& movable_class,
                                 bool is_moving, const std::string& error_location) {
     if (object.child("instanceId").empty())
@@ -119,7 +112,6 @@ std::string make_kitti_track_id(const pugi::xml_node& object, const MovableClass
                           read_integer_field(object, "instanceId", {}, error_location));
 }
 
-/// Labels of one object, by frame number.
 using LabelsByFrame = std::map<int, BoxLabel>;
 
 void add_labels_of_object(const pugi::xml_node& object, const std::vector<LidarFrame>& frames,

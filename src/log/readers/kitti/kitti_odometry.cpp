@@ -19,7 +19,7 @@ namespace {
 
 namespace fs = std::filesystem;
 
-/// Reads the times of frames in seconds. Line i of the file contains the time of frame i.
+/// Line i contains the time of frame i.
 std::vector<double> read_frame_times_s(const fs::path& file, const std::vector<int>& frame_numbers) {
     const std::vector<std::string> lines = split_lines(read_text_file(file));
     std::vector<double> time_s;
@@ -37,8 +37,8 @@ std::vector<double> read_frame_times_s(const fs::path& file, const std::vector<i
     return time_s;
 }
 
-/// Returns the pose file of a sequence: poses.txt in its folder (SemanticKITTI), or
-/// ../../poses/NN.txt (KITTI). Sequences 11 to 21 have no published poses.
+/// Returns poses.txt in the folder (SemanticKITTI), or ../../poses/NN.txt (KITTI).
+/// Sequences 11 to 21 have no published poses.
 fs::path find_odometry_pose_file(const fs::path& sequence_folder) {
     const fs::path here = sequence_folder / "poses.txt",
                    beside = sequence_folder.parent_path().parent_path() / "poses" /
@@ -51,7 +51,6 @@ fs::path find_odometry_pose_file(const fs::path& sequence_folder) {
         here.string(), beside.string());
 }
 
-/// Reads the LiDAR poses in the world frame for some frames.
 std::vector<Pose> read_odometry_poses(const fs::path& sequence_folder, const std::vector<int>& frame_numbers,
                                       const std::vector<double>& frame_times_s,
                                       const fs::path& user_pose_file, Notes& notes) {

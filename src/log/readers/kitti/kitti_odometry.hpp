@@ -10,8 +10,8 @@
 
 namespace relidar {
 
-/// Loads a KITTI odometry sequence. Its scans are motion-compensated, so all rays of a
-/// scan have the same sensor pose. The world frame is the LiDAR frame in frame 0.
+/// The scans are motion-compensated, so all rays of a scan have the same sensor pose. The
+/// world frame is the LiDAR frame in frame 0.
 /// @throws DataError with file and field
 /// @throws UsageError if no scan is in the requested frame range
 LidarSequence load_kitti_odometry(const std::filesystem::path& folder, const DatasetOptions& options);

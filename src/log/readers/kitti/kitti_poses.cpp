@@ -22,15 +22,11 @@ namespace relidar::kitti {
 namespace fs = std::filesystem;
 namespace {
 
-// Maximum coordinate of a pose in metres. UTM coordinates are smaller (up to 10^7).
+// UTM coordinates are up to 10^7 m.
 constexpr double kLargestCoordinate_m = 1e8;
-// Maximum distance between two poses of a log. Grid cells have unique keys only up to 105
-// km (base/cell_key.hpp).
+// Grid cells have unique keys only up to 105 km (base/cell_key.hpp).
 constexpr double kLongestLog_m = 1e5;
 
-/// Checks that the positions of all poses are plausible.
-/// @throws DataError if a coordinate is too large, or if a position is too far from the
-/// first position
 void require_plausible_pose_positions(const std::vector<Pose>& poses, const std::vector<int>& frame_numbers,
                                       const std::string& error_location) {
     for (std::size_t i = 0; i < poses.size(); ++i) {
@@ -59,7 +55,6 @@ std::vector<double> parse_finite_numbers(const std::string& line, std::size_t ex
     return *numbers;
 }
 
-/// Parses a 3x4 matrix, row-major.
 Pose parse_pose_matrix(const std::string& line, const std::string& error_location) {
     const std::vector<double> m = parse_finite_numbers(line, 12, error_location);
     return check_rotation_and_make_pose(glm::dmat3(m[0], m[4], m[8], m[1], m[5], m[9], m[2], m[6], m[10]),
@@ -70,8 +65,7 @@ fs::path make_oxts_file_path(const fs::path& drive_folder, int frame_number) {
     return drive_folder / "oxts/data" / fmt::format("{:010d}.txt", frame_number);
 }
 
-/// Reads the pose of the IMU in one frame. The position is in Mercator coordinates, whose
-/// origin is at latitude and longitude 0.
+/// The position is in Mercator coordinates from latitude and longitude 0.
 Pose read_imu_pose_from_oxts(const fs::path& oxts_file, std::optional<double>& mercator_scale) {
     const std::vector<std::string> lines = split_lines(read_text_file(oxts_file));
     const std::vector<double> v = parse_finite_numbers(lines.empty() ? "" : lines[0], 30, oxts_file.string());
@@ -87,12 +81,11 @@ Pose read_imu_pose_from_oxts(const fs::path& oxts_file, std::optional<double>& m
              *mercator_scale * kEarthRadius_m * std::log(std::tan(kPi / 4 + lat / 2)), v[2]}};
 }
 
-/// Returns the first frame with a GPS/IMU file (OXTS). It defines the origin and scale of
-/// all poses, so that poses do not depend on the requested frames.
+/// The first OXTS file defines origin and scale, so that poses do not depend on the
+/// requested frames.
 int find_first_oxts_frame(const fs::path& drive_folder) {
     const fs::path folder = drive_folder / "oxts/data";
     if (does_path_exist(folder)) {
-        // files are sorted by name, so the first file has the smallest number
         for (const fs::path& file : list_folder_entries(folder)) {
             const auto number = parse_file_stem_as_number(file.stem().string());
             if (file.extension() == ".txt" && number) return *number;
@@ -104,8 +97,7 @@ int find_first_oxts_frame(const fs::path& drive_folder) {
         folder.string());
 }
 
-/// Returns the path of calib_imu_to_velo.txt for a drive (a recording of KITTI). Searches
-/// the folder of the drive, two folders above it, and their calibration folders.
+/// Searches the folder of the drive, two folders above it, and their calibration folders.
 fs::path find_imu_calibration_file(const fs::path& drive_folder) {
     const char* name = "calib_imu_to_velo.txt";
     // date in a name such as 2011_09_26_drive_0005_sync
@@ -200,8 +192,7 @@ void replace_vehicle_poses_from_file(LidarSequence& sequence, const fs::path& po
     if (pose_file.empty()) return;
     PoseTrack user_track{sequence.world_from_vehicle.time_s,
                          std::vector<Pose>(sequence.world_from_vehicle.time_s.size())};
-    // Lists each frame number once, because all LiDARs of a sweep share the number and
-    // the pose.
+    // All LiDARs of a sweep share number and pose.
     std::vector<int> frames;
     for (const LidarFrame& frame : sequence.frames)
         if (frames.empty() || frames.back() != frame.index) frames.push_back(frame.index);

@@ -30,8 +30,7 @@ PoseTrack read_drive_poses(const fs::path& drive_folder, const std::vector<int>&
     return track;
 }
 
-/// Returns notes for the user about missing scans, labels and poses. For example, four
-/// scans are missing in the middle of drive 0009.
+/// For example, drive 0009 lacks four scans in its middle.
 Notes list_missing_data_notes(const fs::path& drive_folder, const std::vector<int>& frame_numbers,
                               const DatasetOptions& options) {
     Notes notes;

@@ -9,8 +9,7 @@
 
 namespace relidar {
 
-/// Loads the requested frames of a drive.
-/// @param drive  folder that contains velodyne_points
+/// @param drive  contains velodyne_points
 /// @throws DataError with file and field
 /// @throws UsageError if no scan is in the requested frame range
 LidarSequence load_kitti_raw(const std::filesystem::path& drive, const DatasetOptions& options);

@@ -23,8 +23,7 @@
 namespace relidar::kitti {
 namespace {
 
-// Number of scans to which the beam elevations are fitted (kFitScans), and to which the
-// regular grid (lattice) of firing azimuths is fitted (kLatticeScans).
+// scans to which elevations are fitted, and to which the grid of firings is fitted
 constexpr std::size_t kFitScans = 6, kLatticeScans = 3;
 
 std::vector<const ScanWithRings*> select_evenly_spaced_scans(const std::vector<ScanWithRings>& scans,
@@ -35,8 +34,6 @@ std::vector<const ScanWithRings*> select_evenly_spaced_scans(const std::vector<S
     return some;
 }
 
-/// Reads a scan file and splits its points into rings.
-/// @param label_folder  folder of the label files; empty if the points have no labels
 ScanWithRings read_raw_scan(const std::filesystem::path& scan_file,
                             const std::filesystem::path& label_folder) {
     ScanPoints scan = read_kitti_scan_points(
@@ -58,20 +55,18 @@ LidarPoints convert_raw_scan_to_points(const ScanWithRings& raw_scan) {
     return points;
 }
 
-/// Returns the azimuth of the last point of a scan, from 0 to 360 degrees. In each ring,
-/// azimuths increase from 0. So a complete scan ends near 360.
+/// In a complete scan, the azimuth of the last point is near 360 degrees.
 double get_last_point_azimuth_deg(const ScanWithRings& scan) {
     if (scan.points.empty()) return 0.0;
-    // A complete scan has 64 rings. If there are more, a stray point after the last ring
-    // was counted as the start of another ring. So the scan is complete.
+    // A stray point after the last ring counts as a 65th ring, so the scan is complete.
     if (scan.n_rings > kRings) return 360.0;
     const double azimuth =
         std::atan2(double(scan.points.back().y), double(scan.points.back().x)) * 180.0 / kPi;
     return azimuth < 0.0 ? azimuth + 360.0 : azimuth;
 }
 
-/// Detects damaged files by comparing each scan with its neighbours. The missing points
-/// of a damaged file must not be treated as dropped rays.
+/// Compares each scan with its neighbours. Points that a damaged file lacks are no
+/// dropped rays.
 class DamagedScanDetector {
 public:
     explicit DamagedScanDetector(const std::vector<ScanWithRings>& raw) {
@@ -82,14 +77,10 @@ public:
         }
     }
 
-    /// Returns why scan `scan_index` is incomplete, or an empty string if it is complete.
-    /// An incomplete scan has far fewer points or rings than its neighbours, or its last
-    /// ring ends much earlier.
+    /// Returns an empty string for a complete scan.
     std::string explain_incomplete_scan(std::size_t scan_index, const std::string& file_name) const {
-        // A scan is damaged if at least this many rings are missing. One missing ring is
-        // accepted, because it can be a beam without returns.
+        // One missing ring can be a beam without returns.
         constexpr int kMissingRings = 2;
-        // A scan is damaged if its last point is this much earlier in azimuth than usual.
         // In complete scans, the last azimuth varies by up to 20 degrees.
         constexpr double kEarly_deg = 60.0;
         if (n_points_[scan_index] == 0)
@@ -118,8 +109,7 @@ private:
     std::vector<int> n_rings_;
     std::vector<double> end_deg_;
 
-    /// Returns the median of a value over up to five scans before and after scan
-    /// `scan_index`. Ignores values of 0.
+    /// Median over up to five scans on each side, without values of 0.
     template <class T>
     static T compute_median_of_neighbours(const std::vector<T>& values_of_scans, std::size_t scan_index) {
         constexpr std::size_t kReach = 5;
@@ -135,13 +125,13 @@ private:
 };
 
 /// Scales intensities of 0 to 255 to the range 0 to 1.
-/// @return a note for the user; empty if the intensities are already in the range 0 to 1
+/// @return a note; empty if nothing was scaled
 /// @throws DataError if the intensities are in neither range
 std::string scale_byte_intensities_and_get_note(std::vector<ScanWithRings>& raw_scans,
                                                 const std::string& folder_name) {
     constexpr float kBytes = 255.0f;
-    // Intensities with fractions are rejected if their maximum is above 1, but not above
-    // this value. They could be percentages.
+    // Intensities with fractions up to this maximum could be percentages, and are
+    // rejected.
     constexpr float kPercent = 100.0f;
     float lowest = 0.0f, highest = 0.0f;
     bool are_integers = true;
@@ -161,8 +151,7 @@ std::string scale_byte_intensities_and_get_note(std::vector<ScanWithRings>& raw_
                        are_integers ? "whole numbers" : "numbers", highest);
 }
 
-/// Checks the numbers of firings and rays before memory is allocated for the rays.
-/// @throws DataError if there are too many firings per sweep or rays per point
+/// Prevents allocating too much memory for rays.
 void require_plausible_ray_counts(const std::vector<ScanWithRings>& raw_scans,
                                   const BeamFiringGrid& firing_grid, const std::string& error_location) {
     constexpr int kMostFirings = 8192;            // an HDL-64E has up to 4170 firings per sweep
@@ -205,7 +194,7 @@ void read_hdl64_sweeps(LidarSequence& sequence, const std::filesystem::path& sca
             broken.record_broken_scan(at, why + "; the file is probably truncated or damaged");
     if (broken.size() == raw.size()) broken.note_broken_scans_or_throw_if_all_broken(sequence, raw.size());
     for (std::size_t at = 0; at < raw.size(); ++at)
-        // Removes the points of a broken scan. The fits below then ignore the scan.
+        // The fits below then ignore the scan.
         if (broken.is_scan_broken(at)) raw[at] = {};
     if (std::string note = scale_byte_intensities_and_get_note(raw, scan_folder.string()); !note.empty())
         sequence.notes.push_back(std::move(note));

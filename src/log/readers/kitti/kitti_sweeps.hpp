@@ -10,13 +10,11 @@
 
 namespace relidar::kitti {
 
-/// Reads the scans of all frames in a log. Assigns the points of each scan to the rays
-/// that were fired. Also sets the beams and columns of the LiDAR.
+/// Assigns the points of each scan to the rays that were fired. Sets the beams and
+/// columns of the LiDAR.
 /// @param sequence  log with frame numbers, and with the period and range of its LiDAR
-/// @param scan_folder  folder that contains one scan file per frame
-/// @param file_name_digits  number of digits in a file name, for example 10 in
-/// 0000000042.bin
-/// @param label_folder  folder of the label files; empty if the points have no labels
+/// @param file_name_digits  for example 10 in 0000000042.bin
+/// @param label_folder  empty if the points have no labels
 /// @throws DataError with the file
 void read_hdl64_sweeps(LidarSequence& sequence, const std::filesystem::path& scan_folder,
                        int file_name_digits, const DatasetOptions& options,

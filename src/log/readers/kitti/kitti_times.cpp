@@ -23,19 +23,17 @@ namespace relidar::kitti {
 namespace fs = std::filesystem;
 namespace {
 
-/// Returns the days from 1970-01-01 to a date in the Gregorian calendar.
 std::int64_t count_days_since_1970(int year, int month, int day) {
     static constexpr std::array<int, 12> kBefore{0, 31, 59, 90, 120, 151, 181, 212, 243, 273, 304, 334};
     const bool leap = year % 4 == 0 && (year % 100 != 0 || year % 400 == 0);
     const int y = year - 1;
-    // 477 leap days precede the year 1970.
+    // before 1970
     const std::int64_t leap_days = y / 4 - y / 100 + y / 400 - 477;
     return 365ll * (year - 1970) + leap_days + kBefore[static_cast<std::size_t>(month - 1)] +
            (leap && month > 2) + day - 1;
 }
 
-/// Converts "YYYY-MM-DD HH:MM:SS.nnnnnnnnn" to nanoseconds since 1970. The result fits
-/// into 64 bits up to the year 2261.
+/// Parses "YYYY-MM-DD HH:MM:SS.nnnnnnnnn". 64 bits reach up to the year 2261.
 std::int64_t parse_date_time_ns(const std::string& line, const std::string& error_location) {
     int year = 0, month = 0, day = 0, hour = 0, minute = 0, used = 0;
     const int n =
@@ -54,8 +52,6 @@ std::int64_t parse_date_time_ns(const std::string& line, const std::string& erro
     return minutes * 60'000'000'000ll + std::llround(*second * 1e9);
 }
 
-/// Reads one time from each line. Returns nothing for an empty line.
-/// @throws DataError if no line contains a time
 std::vector<std::optional<std::int64_t>> read_timestamps_ns(const fs::path& file) {
     if (!does_path_exist(file))
         fail("{}: no such file, expected one time per frame; copy the file from the download of the dataset",
@@ -101,8 +97,7 @@ std::vector<double> read_relative_frame_times_s(const fs::path& time_file,
 
 namespace {
 
-/// Returns the median duration of sweeps. Throws if the result is not a plausible period.
-/// @param sweep_durations_s  durations of sweeps in seconds
+/// Throws if the median is not a plausible period.
 double compute_sweep_period_s(std::vector<double> sweep_durations_s, const fs::path& file) {
     const double period_s = compute_median(std::move(sweep_durations_s));
     if (!(period_s > 0.01 && period_s < 1.0)) {

@@ -18,10 +18,8 @@
 namespace relidar::kitti {
 namespace {
 
-// Upper limit of all numbers in a label file: metres, radians and frame numbers.
 constexpr double kLargestOfLabel = 1e6;
 
-/// Reads a number from an XML element.
 /// @throws DataError with track and field if the number is missing or out of range
 double read_number_field(const pugi::xml_node& node, const char* field_name,
                          const std::string& error_location) {
@@ -34,7 +32,6 @@ double read_number_field(const pugi::xml_node& node, const char* field_name,
     return *value;
 }
 
-/// Returns the pose of a box in the sensor frame.
 Pose read_box_pose_in_sensor_frame(const pugi::xml_node& pose_item, double box_height_m,
                                    const std::string& error_location) {
     const auto get = [&](const char* field) { return read_number_field(pose_item, field, error_location); };

@@ -24,25 +24,19 @@ namespace fs = std::filesystem;
 constexpr std::size_t kBeams = 64, kColumns = 1024;
 constexpr double kRevolution_s = 0.1;
 constexpr double kNanosecond = 1e-9;
-// Poses are not interpolated over longer times than this. The dataset has 100 poses per
-// second.
+// maximum gap for interpolation; the dataset has 100 poses per second
 constexpr double kMostGap_s = 0.5;
-// Nearer points are not used to identify beams by elevation. A beam starts about a
-// centimetre from the spin axis, which changes the elevation of near points.
+// A beam starts a centimetre from the spin axis, which changes the elevation of nearer
+// points.
 constexpr double kLeastRange_m = 2.0;
-// Maximum standard deviation of the elevations of one beam. If the measured deviation is
-// larger, the points are not sorted by column or by beam.
+// With a larger deviation within a beam, the points are not sorted by column or by beam.
 constexpr double kMostSpread_rad = kPi / 180.0;
-// Minimum x component (forward) of the vehicle's mean driving direction, which is a mean
-// of unit vectors. If the x component is smaller, the poses are wrong, and the user gets
-// a note.
+// With a smaller mean forward direction, the poses are wrong, and the user gets a note.
 constexpr double kForward = 0.9;
 
-/// Published pose of the LiDAR on the vehicle: position in metres; roll, pitch and yaw in
-/// degrees.
+/// published pose of the LiDAR on the vehicle: metres; roll, pitch and yaw in degrees
 constexpr double kLidarPosition_m[3] = {1.7042, -0.021, 1.8047}, kAngles_deg[3] = {0.0001, 0.0003, 179.6654};
 
-/// Order of the points in a file: one column after another, or one beam after another.
 enum class MulranPointOrder { by_column, by_beam };
 
 std::size_t get_beam_of_point(std::size_t point_index, MulranPointOrder point_order) {
@@ -52,8 +46,8 @@ std::size_t get_column_of_point(std::size_t point_index, MulranPointOrder point_
     return point_order == MulranPointOrder::by_column ? point_index / kBeams : point_index % kColumns;
 }
 
-/// Returns the standard deviation of the elevations within a beam, over all beams. It is
-/// small if the order of the points is right. Returns infinity if there are no points.
+/// Standard deviation of the elevations within a beam. It is small if the order is right,
+/// and infinite without points.
 double compute_beam_elevation_spread_rad(const folder::PointTable& table, MulranPointOrder point_order) {
     using enum folder::PointAttribute;
     const folder::PointFieldView &xs = *table.find_field(x), &ys = *table.find_field(y),
@@ -86,7 +80,7 @@ void require_points_of_all_rays(const folder::PointTable& table, const std::stri
              table.n, kBeams, kColumns);
 }
 
-/// Detects the order of the points in the files from the first readable scan.
+/// Uses the first readable scan.
 MulranPointOrder detect_point_order(const std::vector<fs::path>& scan_files) {
     for (const fs::path& file : scan_files) {
         folder::PointTable table;
@@ -108,8 +102,7 @@ MulranPointOrder detect_point_order(const std::vector<fs::path>& scan_files) {
     return MulranPointOrder::by_column;
 }
 
-/// Computes beam and time of each point from its index in the file. The time stamp of the
-/// file is the middle of the revolution.
+/// The stamp of a file is the middle of the revolution.
 void add_ring_and_time_fields(folder::PointTable& table, MulranPointOrder point_order,
                               const std::string& error_location) {
     require_points_of_all_rays(table, error_location);
@@ -141,8 +134,6 @@ PoseTrack read_mulran_poses(const fs::path& pose_file, const stamped::StampedLog
     return track;
 }
 
-/// Returns the pose of the LiDAR on the vehicle. Rotates the published LiDAR frame by 180
-/// degrees, so that x points forward.
 Pose compute_vehicle_from_mulran_lidar() {
     const auto rad = [](double degrees) { return degrees * kPi / 180.0; };
     const Pose base_from_ouster{make_rotation(rad(kAngles_deg[2]), rad(kAngles_deg[1]), rad(kAngles_deg[0])),
@@ -204,8 +195,7 @@ LidarSequence load_mulran_dataset(const fs::path& log_folder, const DatasetOptio
     if (options.poses_file.empty()) {
         const PoseTrack track =
             add_offset_to_track_positions(log.world_from_vehicle, -sequence.world_offset_m);
-        // `track` has a pose at every requested time, because scans without a pose were
-        // skipped.
+        // Scans without a pose were skipped.
         const auto pose_at = [&](double t_s) { return std::optional(track.interpolate_pose(t_s)); };
         if (std::string note = bag::correct_rays_for_vehicle_motion(sequence, pose_at); !note.empty())
             sequence.notes.push_back(std::move(note));

@@ -9,8 +9,7 @@
 
 namespace relidar {
 
-/// Loads a MulRan sequence. Its scans become the frames, sorted by time. The vehicle
-/// frame and the world frame are those of global_pose.csv.
+/// Frames are sorted by time. Vehicle frame and world frame are those of global_pose.csv.
 /// @throws DataError with file and line
 /// @throws UsageError if no scan is in the requested range
 LidarSequence load_mulran_dataset(const std::filesystem::path& folder, const DatasetOptions& options);

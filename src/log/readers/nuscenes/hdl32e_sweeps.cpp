@@ -27,17 +27,14 @@ constexpr double kNoReturn_m = 1.0;
 constexpr double kFarthestOfSweep_m = 1e4;
 constexpr std::size_t kMostColumnsOfSweep = 8192;
 
-/// Points of a file with rings and columns. Each point is in the frame of the moving
-/// LiDAR at the time when it was measured.
 struct SweepWithColumns {
     LidarPoints points;
     SweepFirings sweep;
 };
 
-/// Removes rays without a return. The dataset stores them as points at the LiDAR, and
-/// motion compensation has moved these points a little.
-/// @param points  points in the frame of the LiDAR at the time of each point
-/// @param column_of_point  [points] column of each point
+/// The dataset stores rays without a return as points at the LiDAR, which the motion
+/// compensation has moved a little.
+/// @param points  in the frame of the LiDAR at the time of each point
 void remove_points_without_return(LidarPoints& points, std::vector<int>& column_of_point) {
     std::size_t n = 0;
     for (std::size_t i = 0; i < points.size(); ++i) {
@@ -57,7 +54,6 @@ void remove_points_without_return(LidarPoints& points, std::vector<int>& column_
     if (!points.classes.empty()) points.classes.resize(n);
 }
 
-/// Reads the category index of each point of a sweep.
 std::string read_point_categories(const fs::path& file, std::size_t n_points) {
     std::string categories = read_file(file);
     if (categories.size() != n_points)

@@ -17,8 +17,8 @@ constexpr std::size_t kBlock = 1 << 20, kLongestRecord = 1 << 20;
 // A double represents all integers up to this number exactly.
 constexpr double kMaxExactInteger = 9007199254740992.0;
 
-/// Splits a JSON table (an array of objects) into its objects. Reads the file in blocks,
-/// because tables can be large.
+/// Splits a table (an array of objects) into its objects. Reads blocks, because tables
+/// can have a gigabyte.
 class RecordSplitter {
 public:
     explicit RecordSplitter(const std::filesystem::path& file)
@@ -27,8 +27,6 @@ public:
         if (!in_) throw DataError(name_ + ": the file cannot be read");
     }
 
-    /// Reads the next object of the table into `object_text`.
-    /// @return false if the table has no more objects
     bool read_next_object(std::string& object_text) {
         object_text.clear();
         int depth = 0;
@@ -72,8 +70,7 @@ private:
         character = block_[at_++];
         return true;
     }
-    /// Checks a character of a JSON array that is outside of the array's objects.
-    /// @return true if the character starts an object
+    /// Checks a character between the objects of the array.
     bool is_object_start(char character) {
         if (character == '{' && opened_ && !closed_) return true;
         const bool blank = character == ' ' || character == '\n' || character == '\r' || character == '\t';

@@ -15,22 +15,20 @@
 
 namespace relidar {
 
-/// One object of a JSON table, valid only during the callback. Its functions throw a
-/// DataError with file, record and key if a value is missing or has another type.
+/// An object of a table, valid only during the callback. Throws a DataError with file,
+/// record and key if a value is missing or has another type.
 class JsonRecord {
 public:
     JsonRecord(std::string error_location, simdjson::dom::object object)
         : where_(std::move(error_location)), object_(object) {}
 
     std::string get_text(std::string_view key) const;
-    /// Returns a number as an integer. Rounds, because some tables contain fractions of a
-    /// microsecond.
+    /// Rounds, because some tables contain fractions of a microsecond.
     std::int64_t get_rounded_integer(std::string_view key) const;
     bool get_bool(std::string_view key) const;
     glm::dvec3 get_vec3(std::string_view key) const;
-    /// Returns a unit quaternion, which the table stores as w, x, y, z.
+    /// stored as w, x, y, z
     glm::dquat get_unit_quaternion(std::string_view key) const;
-    /// Returns the pose in the keys `translation` and `rotation`.
     Pose get_pose() const { return {get_unit_quaternion("rotation"), get_vec3("translation")}; }
 
 private:
@@ -43,9 +41,8 @@ private:
     void copy_number_list_of_key(std::string_view key, std::size_t count, double* output_numbers) const;
 };
 
-/// Calls `callback` for every object of a JSON table.
-/// @throws DataError if the file is not a valid array of objects, or if an object has
-/// more than 1 MB
+/// @throws DataError if the file is not an array of objects, or if an object has more
+/// than 1 MB
 void for_each_json_record(const std::filesystem::path& file,
                           const std::function<void(const JsonRecord&)>& callback);
 

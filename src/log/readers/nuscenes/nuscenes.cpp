@@ -26,29 +26,28 @@ namespace {
 namespace fs = std::filesystem;
 using namespace nuscenes;
 
-// Sweeps of several LiDARs form one frame if their times differ by at most this value.
-// The unit is the sweep period of the first LiDAR.
+// Sweeps of several LiDARs form a frame if their times differ by at most this share of a
+// sweep period.
 constexpr double kBeside = 0.6;
-// A box exists a little longer than its labels, because times of labels and sweeps differ
-// slightly. The extra time before and after is this share of a sweep period.
+// Boxes exist this share of a sweep period beyond their labels, whose times differ
+// slightly.
 constexpr double kBeyondLabels = 0.5;
 constexpr double kMostIntensity = 255.0;
-// Assumed duration of a revolution. LiDARs of this kind rotate ten times per second,
-// although the dataset has only five sweeps per second.
+// LiDARs rotate ten times per second, although the dataset has only five sweeps per
+// second.
 constexpr double kLyftRevolution_s = 0.1;
-// If points have no time stamps, all LiDARs of a frame use the sweep time of the first
-// LiDAR. If the true time of a sweep differs by more than this, the user gets a note.
+// Without point times, all LiDARs of a frame use the time of the first. Larger
+// differences are noted.
 constexpr double kStampsApart_s = 1e-3;
 
-/// One dataset format that uses the JSON tables of nuScenes. `ending` is the extension of
-/// its LiDAR files. Except for T4, the reader detects the format by this extension.
+/// A format with the tables of nuScenes. Except for T4, the extension of LiDAR files
+/// identifies it.
 struct NuscenesVariant {
     const char* ending;
     const char* dataset;
     const char* conventions;  ///< conventions of the dataset, except units and vehicle axes
-    /// True if the dataset has moved all points of a file to the end of the revolution
-    /// (motion compensation). Such a file contains one revolution of an HDL-32E, column
-    /// by column.
+    /// True if points were moved to the end of the revolution. A file then contains a
+    /// revolution of an HDL-32E, column by column.
     bool is_compensated;
     bool has_times;  ///< true: points have times
 };
@@ -68,15 +67,14 @@ constexpr NuscenesVariant kFormats[] = {
      false, false},
 };
 
-/// Format of T4 datasets, which use the tables of nuScenes. Points are in the vehicle
-/// frame. A file may contain the merged points of several LiDARs.
+/// T4: points are in the vehicle frame. A file may contain the merged points of several
+/// LiDARs.
 constexpr NuscenesVariant kT4 = {".pcd.bin", "T4",
                                  "Points are motion-compensated and in the frame of the vehicle. The time of "
                                  "a frame is the stamp of its sweep. The world frame is that of the map.",
                                  false, false};
 constexpr const char* kTablesOfT4 = "annotation";  // name of the folder that contains the tables
 
-/// Name of a scene, and the folder of its JSON tables.
 struct SceneTablesLocation {
     std::string name;
     fs::path tables;
@@ -92,8 +90,7 @@ std::vector<SceneTablesLocation> list_scenes_of_dataset(const fs::path& dataset_
     return scenes;
 }
 
-/// Returns the scene that the user requested: by its name, by its nuScenes number, or by
-/// the first characters of its name if no other scene begins with them.
+/// Accepts the name, the nuScenes number, or the first characters of one name only.
 SceneTablesLocation choose_scene(const std::vector<SceneTablesLocation>& scenes,
                                  const std::string& requested_name) {
     if (requested_name.empty()) return scenes[0];
@@ -116,7 +113,7 @@ SceneTablesLocation choose_scene(const std::vector<SceneTablesLocation>& scenes,
                      scenes.size(), names);
 }
 
-/// Returns the boxes at the times of the frames, interpolated between labelled keyframes.
+/// Interpolates boxes between labelled keyframes.
 std::vector<BoxTrack> make_box_tracks_at_frame_times(const std::vector<BoxLabel>& labels,
                                                      const std::vector<double>& frame_times_s,
                                                      double max_extrapolation_s) {
@@ -136,7 +133,6 @@ std::vector<BoxTrack> make_box_tracks_at_frame_times(const std::vector<BoxLabel>
     return boxes;
 }
 
-/// A sweep of one LiDAR, with the number of its frame.
 struct FrameSweepRecord {
     int number = 0;         ///< number of the frame: index of the simultaneous sweep of the first LiDAR
     std::size_t lidar = 0;  ///< index in SceneTables::lidars
@@ -169,7 +165,6 @@ public:
         set_log_start(sequence_, 1000 * scene_.lidars[0].sweeps[0].time_us, "on the clock of the dataset");
         select_requested_lidars();
         select_sweeps_of_requested_frames();
-        // All sweeps of a frame get the time of the first LiDAR's sweep.
         for (const FrameSweepRecord& frame : frames_) {
             const std::size_t k = std::size_t(frame.number);
             const auto lidar = std::ranges::find(lidars_, frame.lidar) - lidars_.begin();
@@ -193,8 +188,7 @@ private:
     const SceneTablesLocation chosen_;
     const SceneTables scene_;
     const NuscenesVariant& format_;
-    /// Start of folder names in Lyft's dataset. For "train_", the tables are in
-    /// train_data and the points in train_lidar.
+    /// "train_" if tables are in train_data and points in train_lidar (Lyft)
     const std::string split_;
     std::vector<double> main_s_;       ///< times in seconds of the sweeps of the first LiDAR
     double step_s_ = 0.0;              ///< time between these sweeps
@@ -222,8 +216,6 @@ private:
         return split_.empty() || does_path_exist(file) ? file : folder_ / (split_ + sweep.file);
     }
 
-    /// Selects the LiDARs that the user requested, or all LiDARs if the user requested
-    /// none.
     void select_requested_lidars() {
         std::vector<std::string> channels, left_out;
         for (const SceneLidar& lidar : scene_.lidars) channels.push_back(lidar.channel);
@@ -258,8 +250,7 @@ private:
             add_note(fmt::format("these LiDARs of the log are not read: {}", fmt::join(left_out, ", ")));
     }
 
-    /// Assigns a frame number to each sweep of the selected LiDARs. Returns the sweeps in
-    /// the order of frame numbers.
+    /// Returns the sweeps of the selected LiDARs in the order of frame numbers.
     std::vector<FrameSweepRecord> assign_frame_numbers_to_sweeps() {
         std::vector<FrameSweepRecord> sweeps;
         for (const std::size_t l : lidars_) {
@@ -289,8 +280,7 @@ private:
         return sweeps;
     }
 
-    /// Selects the frames in the requested range. If only keyframes have files, selects
-    /// only keyframes. This happens if the user has not unpacked the folder sweeps/.
+    /// Selects only keyframes if only they have files, because sweeps/ was not unpacked.
     void select_sweeps_of_requested_frames() {
         const std::vector<FrameSweepRecord> sweeps = assign_frame_numbers_to_sweeps();
         const auto is_between = [](const FrameSweepRecord& sweep) { return !sweep.record->is_keyframe; };
@@ -312,8 +302,6 @@ private:
             add_note("the files between keyframes are missing, so only the keyframes of the scene are read");
     }
 
-    /// Returns the files of each frame: points and point labels. Adds a note if label
-    /// files are missing.
     std::vector<SweepFiles> list_files_of_frames() {
         std::vector<SweepFiles> files;
         std::size_t n_missing = 0;
@@ -329,14 +317,12 @@ private:
         return files;
     }
 
-    /// Reads the scans of T4, TruckScenes and Lyft datasets. For nuScenes itself,
-    /// read_hdl32e_sweeps() reads the scans.
+    /// For T4, TruckScenes and Lyft.
     void read_scans_of_point_files() {
         std::vector<fs::path> files;
         for (const FrameSweepRecord& frame : frames_) files.push_back(get_file_of_sweep(*frame.record));
         folder::PointFileUnits units;
-        // The last column has no information: it is always 1 in Lyft's files and -1 in
-        // T4's files.
+        // The last column is always 1 (Lyft) or -1 (T4).
         if (!format_.has_times) units.columns = {"x", "y", "z", "intensity", "-"};
         units.intensity_max = kMostIntensity;
         units.time_unit_s = 1e-6;

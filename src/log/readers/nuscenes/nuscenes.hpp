@@ -9,11 +9,10 @@
 
 namespace relidar {
 
-/// Loads the scene that DatasetOptions::sequence selects: by its name ("scene-0061"), by
-/// the first characters of its name, or by its nuScenes number ("61"). The frames are the
-/// keyframes and sweeps of the first LiDAR, sorted by time. Sweeps of other LiDARs at
-/// nearly the same time get the same frame number. The world frame is the frame of the
-/// dataset's poses.
+/// DatasetOptions::sequence selects a scene by its name ("scene-0061"), by its first
+/// characters, or by its number ("61"). Frames are the keyframes and sweeps of the first
+/// LiDAR, sorted by time. Sweeps of other LiDARs at nearly the same time share the
+/// number. The world frame is that of the poses.
 /// @throws DataError with file, record and key
 /// @throws UsageError if the scene or LiDAR is unknown, or if no sweep is in the
 /// requested frame range

@@ -32,7 +32,6 @@ constexpr const char* kFirstChannel = "LIDAR_TOP";
 // maximum time difference between a sweep and its vehicle pose
 constexpr double kFarthestPose_s = 0.1;
 
-/// Returns the times of the samples (keyframes) of the scene in microseconds.
 TokenMap<std::int64_t> read_keyframe_times_us(const fs::path& table_folder, const std::string& scene_token) {
     TokenMap<std::int64_t> samples;
     for_each_json_record(table_folder / "sample.json", [&](const JsonRecord& record) {
@@ -42,13 +41,11 @@ TokenMap<std::int64_t> read_keyframe_times_us(const fs::path& table_folder, cons
     return samples;
 }
 
-/// Channel name of a LiDAR, and its pose on the vehicle.
 struct LidarMount {
     std::string channel;
     Pose ego_from_lidar;
 };
 
-/// Returns all LiDARs by the token of their calibration.
 TokenMap<LidarMount> read_lidars_by_calibration_token(const fs::path& table_folder) {
     TokenMap<std::string> channels;
     for_each_json_record(table_folder / "sensor.json", [&](const JsonRecord& record) {
@@ -69,7 +66,6 @@ TokenMap<LidarMount> read_lidars_by_calibration_token(const fs::path& table_fold
 
 using SweepsByChannel = std::map<std::string, TokenMap<SweepRecord>>;  // files by channel name, then by token
 
-/// Returns the LiDAR files of a scene, by channel.
 SweepsByChannel list_lidar_files_of_scene(const fs::path& table_folder,
                                           const TokenMap<std::int64_t>& keyframe_times_us,
                                           const TokenMap<LidarMount>& mounted_lidars) {
@@ -92,8 +88,8 @@ SweepsByChannel list_lidar_files_of_scene(const fs::path& table_folder,
     return files;
 }
 
-/// Sorts the files of one LiDAR by time. Starts with its first keyframe.
-/// @return an empty list if the LiDAR has no keyframe
+/// Sorts the files of a LiDAR by time, from its first keyframe.
+/// @return empty without a keyframe
 std::vector<SweepRecord> list_sweeps_from_first_keyframe(const fs::path& table_folder,
                                                          const TokenMap<SweepRecord>& files_by_token) {
     const std::string where = (table_folder / "sample_data.json").string();
@@ -116,7 +112,6 @@ std::vector<SweepRecord> list_sweeps_from_first_keyframe(const fs::path& table_f
     return sweeps;
 }
 
-/// Returns the LiDARs with at least one keyframe in the scene.
 std::vector<SceneLidar> read_lidars_of_scene(const fs::path& table_folder,
                                              const TokenMap<std::int64_t>& keyframe_times_us) {
     const TokenMap<LidarMount> mounted = read_lidars_by_calibration_token(table_folder);
@@ -143,8 +138,7 @@ std::vector<SceneLidar> read_lidars_of_scene(const fs::path& table_folder,
     return lidars;
 }
 
-/// Returns the vehicle poses at the times of the sweeps. Interpolates, because a sweep of
-/// TruckScenes refers to the nearest stored pose.
+/// Interpolates, because a sweep of TruckScenes refers to the nearest stored pose.
 std::vector<Pose> read_ego_poses_of_sweeps(const fs::path& table_folder,
                                            const std::vector<SweepRecord>& sweeps) {
     const fs::path file = table_folder / "ego_pose.json";
@@ -188,9 +182,8 @@ std::vector<Pose> read_ego_poses_of_sweeps(const fs::path& table_folder,
     return world_from_ego;
 }
 
-/// Reads one text value of each record in a table. Returns the values by the token (id)
-/// of the record.
-/// @param tokens_or_null  tokens of the records to read, or null for all records
+/// Returns a text of each record by its token.
+/// @param tokens_or_null  records to read; null: all
 TokenMap<std::string> read_text_column_by_token(const fs::path& table_file, const char* key,
                                                 const Tokens* tokens_or_null) {
     TokenMap<std::string> values;
@@ -201,8 +194,7 @@ TokenMap<std::string> read_text_column_by_token(const fs::path& table_file, cons
     return values;
 }
 
-/// Reads the box labels of a scene. Scenes of test splits have no label table, so they
-/// have no labels.
+/// Test splits have no label table.
 std::vector<BoxLabel> read_box_labels_of_scene(const fs::path& table_folder, const SceneTables& scene,
                                                const TokenMap<std::int64_t>& keyframe_times_us) {
     std::vector<BoxLabel> labels;
@@ -241,8 +233,7 @@ std::vector<BoxLabel> read_box_labels_of_scene(const fs::path& table_folder, con
     return labels;
 }
 
-/// Reads which files contain the categories of points, and the class of each category.
-/// Does nothing without the table lidarseg, which is a separate download.
+/// The table lidarseg is a separate download.
 void read_lidarseg_files_and_classes(const fs::path& table_folder, SceneTables& scene) {
     const fs::path file = table_folder / "lidarseg.json";
     if (!does_path_exist(file)) return;

@@ -25,22 +25,18 @@ namespace fs = std::filesystem;
 
 constexpr const char* kSensor = "Pandar40P";
 constexpr double kMillisecond = 1e-3;
-// Duration of a revolution. The LiDAR rotates ten times per second, but the dataset
-// contains only every fifth revolution.
+// The dataset contains only every fifth revolution.
 constexpr double kRevolution_s = 0.1;
-// rotation about z from the axes of the dataset ONCE (x left, y back) to relidar's axes
-// (x forward, y left)
+// from ONCE (x left, y back) to relidar (x forward, y left)
 constexpr double kTurned_rad = kPi / 2.0;
 constexpr double kUnitLength = 1e-3;  // tolerance of a quaternion's length
 constexpr double kLargestCoordinate_m = 1e8;
 
-/// A pose as stored in the file: time stamp, quaternion and position.
 struct OncePose {
     std::int64_t stamp;
     std::array<double, 7> numbers;
 };
 
-/// Content of the JSON file of a sequence.
 struct OnceFile {
     std::vector<stamped::StampedScanFile> scans;
     std::vector<OncePose> poses;
@@ -94,7 +90,6 @@ OnceFile read_once_sequence_json(const fs::path& json_file, const fs::path& scan
     return content;
 }
 
-/// Returns the LiDAR poses over time in ONCE's axes (x left, y back).
 PoseTrack make_lidar_track_in_dataset_axes(const std::vector<OncePose>& poses, const stamped::StampedLog& log,
                                            bool is_quaternion_w_first) {
     PoseTrack track;
@@ -108,7 +103,6 @@ PoseTrack make_lidar_track_in_dataset_axes(const std::vector<OncePose>& poses, c
     return track;
 }
 
-/// Returns the LiDAR poses over time in relidar's axes (x forward, y left).
 PoseTrack make_lidar_track_with_x_forward(const OnceFile& dataset_content, const stamped::StampedLog& log,
                                           Notes& notes) {
     const PoseTrack w_last = make_lidar_track_in_dataset_axes(dataset_content.poses, log, false),

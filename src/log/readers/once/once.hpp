@@ -9,10 +9,9 @@
 
 namespace relidar {
 
-/// Loads a sequence. Frames are numbered in the order of the JSON file. The vehicle frame
-/// is the frame of the LiDAR, rotated so that x points forward. The world frame of the
-/// dataset is the frame of the LiDAR in the first frame. Boxes are not loaded, because
-/// they have no track ids.
+/// Frames are numbered in the order of the JSON file. The vehicle frame is the frame of
+/// the LiDAR, rotated so that x points forward. The world frame is the LiDAR in the first
+/// frame. Boxes are not loaded, because they have no track ids.
 /// @throws DataError with file and field
 /// @throws UsageError if no scan is in the requested range
 LidarSequence load_once_dataset(const std::filesystem::path& folder, const DatasetOptions& options);

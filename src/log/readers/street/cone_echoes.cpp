@@ -18,8 +18,8 @@ struct SubRayHit {
     float range_m = 0.0f, light = 0.0f;
 };
 
-/// Combines the hits of thin rays in the cone of a beam to returns, sorted by range.
-/// @param n_hits  output: number of thin rays that hit a surface
+/// Combines the hits of the thin rays of a beam to returns, sorted by range.
+/// @param n_hits  output: thin rays that hit a surface
 std::vector<SubRayHit> group_cone_hits_to_returns(const Scan& cone_scan, std::size_t ray_index, int& n_hits) {
     std::vector<std::pair<float, float>> hits;
     for (std::size_t i = ray_index * kConeRays; i < (ray_index + 1) * kConeRays; ++i)

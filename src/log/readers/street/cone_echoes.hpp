@@ -9,20 +9,15 @@ namespace relidar::street {
 
 inline constexpr int kConeRays = 53;  ///< number of thin rays that represent the cone of a beam
 
-/// Replaces each ray by kConeRays thin rays, which form a spiral in the cone of the beam.
-/// @param rays  rays with a divergence, which is the opening angle of the cone
+/// Replaces each ray by kConeRays thin rays, which form a spiral in its cone (the
+/// divergence).
 RayTable split_rays_into_cone_rays(const RayTable& rays);
 
-/// Computes two returns per ray from the hits in the cone of the beam. Hits whose ranges
-/// differ by less than 0.5 m from the next hit form one return. The range of the return
-/// is their mean, weighted by light.
-///
-/// The first return is the strongest one. The second return is the last one, or the next
-/// strongest one if the strongest return is the last. The second return must have at
-/// least a tenth of the light of the first. If at most half of the thin rays have hits,
-/// the ray is dropped.
-/// @param scan_of_cone_rays  scan with the hits of the rays from
-/// split_rays_into_cone_rays(rays)
+/// Hits whose ranges differ by less than 0.5 m from the next hit form one return, at
+/// their mean weighted by light. The first return is the strongest one. The second return
+/// is the last one, or the next strongest one if the strongest return is the last; it
+/// needs at least a tenth of the light of the first. If at most half of the thin rays
+/// have hits, the ray is dropped.
 Scan combine_cone_returns(const RayTable& rays, const Scan& scan_of_cone_rays);
 
 }  // namespace relidar::street

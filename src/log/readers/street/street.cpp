@@ -15,7 +15,6 @@
 namespace relidar::street {
 namespace {
 
-/// Point at which a ray hits a shape, in the frame of the shape.
 struct ShapeHit {
     double t = std::numeric_limits<double>::infinity();
     glm::dvec3 normal{0.0};
@@ -67,7 +66,7 @@ ShapeHit intersect_ray_with_cylinder(double radius, double half_height, const gl
     return best;
 }
 
-/// Intersects a ray with a capsule whose axis points down from the origin.
+/// The axis points down from the origin.
 ShapeHit intersect_ray_with_capsule(double radius, double length, const glm::dvec3& ray_origin,
                                     const glm::dvec3& ray_direction) {
     ShapeHit best;
@@ -91,13 +90,11 @@ ShapeHit intersect_ray_with_capsule(double radius, double length, const glm::dve
     return best;
 }
 
-/// Rotates a vector about the z axis by the angle with cosine c and sine s.
 glm::dvec3 rotate_about_z(const glm::dvec3& vector, double cosine, double sine) {
     return {cosine * vector.x - sine * vector.y, sine * vector.x + cosine * vector.y, vector.z};
 }
 
-/// Returns true if a point of a wall belongs to a window. Walls that face the y direction
-/// have windows of dark glass, 1.2 x 1.5 m, every 3 m.
+/// Walls that face the y direction have windows of dark glass, 1.2 x 1.5 m, every 3 m.
 bool is_in_wall_window(const StreetShape& wall, const glm::dvec3& local_point,
                        const glm::dvec3& local_normal) {
     if (std::abs(local_normal.y) < 0.5) return false;
@@ -105,13 +102,11 @@ bool is_in_wall_window(const StreetShape& wall, const glm::dvec3& local_point,
     return u - 3.0 * std::floor(u / 3.0) < 1.2 && v > 1.0 && v - 3.0 * std::floor(v / 3.0) > 1.5;
 }
 
-/// Returns the bounding sphere of a shape, through the corners of its box.
 BoundingSphere compute_bounding_sphere(const StreetShape& shape) {
     return {shape.centre, glm::length(shape.half)};
 }
 
-/// Returns a sphere that contains several shapes. Its centre is the centre of the box
-/// around the centres of the shapes.
+/// The centre is the centre of the box around the centres of the shapes.
 BoundingSphere compute_bounding_sphere(std::span<const StreetShape> shapes) {
     glm::dvec3 low = shapes.front().centre, high = low;
     for (const StreetShape& shape : shapes) {
@@ -128,14 +123,12 @@ BoundingSphere compute_bounding_sphere(std::span<const StreetShape> shapes) {
 
 }  // namespace
 
-/// Finds the first surface that a ray hits. The caller passes all shapes to this class,
-/// one after another.
+/// The caller passes all shapes, one after another.
 class StreetCaster::NearestSurfaceSearch {
 public:
     NearestSurfaceSearch(const WorldRay& ray, double max_range_m) : ray_(ray), nearest_m_(max_range_m) {}
 
-    /// Returns true if the shapes inside a sphere need no test, because the ray misses
-    /// the sphere or has already hit a nearer surface.
+    /// The ray misses the sphere or has already hit a nearer surface.
     bool can_skip_sphere(const BoundingSphere& sphere, const glm::dvec3& ray_origin,
                          const glm::dvec3& ray_direction) const {
         const glm::dvec3 to = sphere.centre - ray_origin;
@@ -144,8 +137,7 @@ public:
         return along < -sphere.radius_m || along - sphere.radius_m > nearest_m_;
     }
 
-    /// Intersects the ray with the ground: a road with a dashed centre line, and
-    /// pavements on both sides. Stores the hit if it is the nearest so far.
+    /// A road with a dashed centre line, and pavements on both sides.
     void update_nearest_hit_with_ground() {
         if (!(ray_.direction.z < 0.0)) return;
         const double t = -ray_.origin_m.z / ray_.direction.z;
@@ -158,8 +150,7 @@ public:
         else hit_ = StreetHit{t, cosine, 0.32, SurfaceClass::sidewalk};
     }
 
-    /// Intersects the ray with a shape. Stores the hit if it is the nearest so far.
-    /// @param ray_origin,ray_direction  ray in the frame of the shape's centre
+    /// @param ray_origin,ray_direction  in the frame of the centre of the shape
     void update_nearest_hit_with_solid(const RayCastShape& solid, const glm::dvec3& ray_origin,
                                        const glm::dvec3& ray_direction) {
         if (can_skip_sphere(solid.around, ray_origin, ray_direction)) return;
@@ -178,10 +169,8 @@ public:
             StreetHit{m.t, std::abs(glm::dot(m.normal, d)), glass ? 0.06 : shape.reflectance, shape.surface};
     }
 
-    /// Intersects the ray with an arm or a leg. Stores the hit if it is the nearest so
-    /// far.
-    /// @param pitch_rad  swing angle of the limb, from straight down to the front
-    /// @param ray_origin,ray_direction  ray in the frame of the person's box
+    /// @param pitch_rad  swing of the limb, from straight down to the front
+    /// @param ray_origin,ray_direction  in the frame of the box of the person
     void update_nearest_hit_with_limb(const SwingingLimb& limb, double pitch_rad,
                                       const glm::dvec3& ray_origin, const glm::dvec3& ray_direction) {
         const double c = std::cos(pitch_rad), s = std::sin(pitch_rad);

@@ -11,10 +11,9 @@
 
 namespace relidar::street {
 
-/// Materials of surfaces, which differ in reflectance for the laser of a LiDAR.
 enum class Material { road, pavement, wall, metal, paint, leaves };
 
-/// An upright box or cylinder. A cylinder has the radius half.x and the height 2 half.z.
+/// upright; a cylinder has the radius half.x and the height 2 half.z
 struct StreetShape {
     enum class Kind { box, cylinder } kind = Kind::box;
     glm::dvec3 centre{0.0};
@@ -25,8 +24,7 @@ struct StreetShape {
     SurfaceClass surface = SurfaceClass::building;
 };
 
-/// A leg or an arm of a walking person: a capsule that swings about its joint once per
-/// stride.
+/// a capsule that swings about its joint once per stride
 struct SwingingLimb {
     glm::dvec3 joint_m{0.0};  ///< position of the joint in the frame of the person's box
     double length_m = 0.0;    ///< length of the capsule's axis, from the joint to the end
@@ -36,8 +34,8 @@ struct SwingingLimb {
     double reflectance = 0.5;
 };
 
-/// A moving car, pedestrian or cyclist. It moves straight at constant speed, or along a
-/// track. Its shapes are in the frame of its box.
+/// Moves straight at constant speed, or along a track. Its shapes are in the frame of its
+/// box.
 struct MovingStreetActor {
     const char* category = "Car";
     glm::dvec3 start_m{0.0};  ///< centre of the box at time 0, in the street frame
@@ -47,15 +45,13 @@ struct MovingStreetActor {
     std::vector<StreetShape> shapes;
     std::vector<SwingingLimb> limbs;
     double stride_m = 0.0;  ///< length of a stride; a stride consists of two steps
-    /// Poses of the box in street coordinates over time. If not empty, the box follows
-    /// these poses instead of moving straight at constant speed.
+    /// poses of the box in street coordinates; empty: straight at constant speed
     PoseTrack track;
 
     Pose compute_world_from_box(double time_s) const;
-    /// Returns the distance in metres that a person has walked until `time_s`. It
-    /// controls the swing of arms and legs. Without a `track`, it is 0 at time 0. With a
-    /// `track`, its value at the first pose is the distance from start_m to this pose
-    /// along yaw_rad.
+    /// Distance that a person has walked; it controls the swing of limbs. Without a
+    /// `track`, it is 0 at time 0. With a `track`, its value at the first pose is the
+    /// distance from start_m to this pose along yaw_rad.
     double compute_walked_distance_m(double time_s) const;
 };
 
@@ -64,15 +60,13 @@ struct SyntheticStreet {
     std::vector<MovingStreetActor> cars;
 };
 
-/// Creates the shapes of a synthetic street. The random seed in the options determines
-/// the positions of facades, poles, trees and parked cars.
+/// The random seed determines the positions of facades, poles, trees and parked cars.
 SyntheticStreet make_street(const SyntheticOptions& options);
 
-/// Returns the pose of the sensor on its drive along the street. The sensor swings gently
-/// across the lane, faces along its path, and has a small pitch. Frame 0 has the time 0.
+/// The sensor swings gently across the lane, faces along its path, and has a small pitch.
 Pose compute_sensor_pose(const SyntheticOptions& options, double time_s);
 
-/// Returns the time of a frame in seconds. Frames are 0.1 s apart.
+/// 0.1 s apart; frame 0 has the time 0
 inline double compute_frame_time_s(int frame_number) { return 0.1 * frame_number; }
 
 struct BoundingSphere {
@@ -87,28 +81,24 @@ struct StreetHit {
     SurfaceClass surface;
 };
 
-/// Poses of all moving cars at one time. They are reused for consecutive rays with the
-/// same time.
+/// poses of all moving cars at one time, reused for consecutive rays
 struct MovingActorPoses {
     std::optional<double> time_s;
     std::vector<glm::dvec3> centre_m;  ///< [cars] centre of the box of each car
     std::vector<Pose> box_from_world;  ///< [cars] transform from the street frame to the box of each car
 };
 
-/// Casts rays into a street.
 class StreetCaster {
 public:
     explicit StreetCaster(SyntheticStreet street);
-    /// Returns the first surface that a ray hits at a time. Returns nothing beyond
-    /// max_range_m.
-    /// @param car_pose_cache  cached poses of the cars, or empty; recomputed if their
-    /// time differs from time_s
+    /// Returns nothing beyond max_range_m.
+    /// @param car_pose_cache  recomputed if its time differs from time_s
     std::optional<StreetHit> find_first_hit(const WorldRay& ray, double time_s, double max_range_m,
                                             MovingActorPoses& car_pose_cache) const;
     std::optional<StreetHit> find_first_hit(const WorldRay& ray, double time_s, double max_range_m) const;
 
 private:
-    /// A shape with precomputed values for faster ray casting.
+    /// with precomputed values
     struct RayCastShape {
         StreetShape shape;
         BoundingSphere around;
@@ -117,15 +107,14 @@ private:
     struct RayCastActor {
         MovingStreetActor moving;
         std::vector<RayCastShape> solids;
-        /// radius of a sphere around the centre of the box that contains the car
+        /// radius of a sphere around the centre of the box
         double reach_m = 0.0;
     };
-    /// A group of shapes that are close together, such as the leaves of a bush. A ray
-    /// that misses their bounding sphere skips the group.
+    /// Shapes that are close together. A ray that misses their bounding sphere skips
+    /// them.
     struct Cluster {
         BoundingSphere around;
-        /// Index after the last shape of this group. Its first shape follows the last
-        /// shape of the previous group.
+        /// index after the last shape; groups are consecutive
         std::size_t end;
     };
     class NearestSurfaceSearch;

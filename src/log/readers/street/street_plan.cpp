@@ -20,15 +20,13 @@ namespace relidar::street {
 namespace {
 
 constexpr double kHalfLength_m = 80.0, kLongDrive_m = 100.0, kBetweenCars_m = 120.0;
-// The sensor drives at y = 0, in the right-hand lane. The middle between the kerbs is at
-// y = 1.1.
+// The sensor drives at y = 0, in the right-hand lane. The middle is at y = 1.1.
 constexpr double kLeftKerb_m = 6.6, kRightKerb_m = -4.4;
 constexpr double kCarLength_m = 4.3, kCarWidth_m = 1.8;
-// Height of the bottom and the top of a car's box. Car bodies begin at a height of 0.2 m.
-// So the box contains the full car but no ground.
+// A box contains the full car, from 0.2 m, but no ground.
 constexpr double kBoxBottom_m = 0.15, kBoxTop_m = 1.5;
 constexpr double kBoxCentre_m = 0.5 * (kBoxBottom_m + kBoxTop_m);
-// Start and end of the yard along the street, left of the pavement.
+// along the street, left of the pavement
 constexpr double kYardBegin_m = 6.0, kYardEnd_m = 32.0;
 
 double compute_middle_frame_time_s(const SyntheticOptions& options) {
@@ -39,15 +37,12 @@ double compute_driven_distance_m(const SyntheticOptions& options) {
     return options.speed_mps * compute_frame_time_s(options.n_frames - 1);
 }
 
-/// One side of the street, left or right.
 struct StreetSide {
     double left;  ///< sign of y on this side: 1 on the left, -1 on the right
     double kerb_m;
     double half_m;  ///< half of the length of the street
 };
 
-/// Adds house facades on one side of the street.
-/// @param leave_yard_gap  if true, leaves a gap for the yard
 void add_facades(SyntheticStreet& street, Random& random, const StreetSide& street_side,
                  bool leave_yard_gap) {
     const auto& [side, kerb_m, half_m] = street_side;
@@ -96,8 +91,7 @@ void add_poles_and_trees(SyntheticStreet& street, Random& random, const StreetSi
     }
 }
 
-/// Returns the shapes of a car in the frame of its box: a body at a height of 0.20 to
-/// 0.90 m, and a cabin at 0.90 to 1.45 m.
+/// a body at 0.20 to 0.90 m, and a cabin at 0.90 to 1.45 m above the ground
 std::vector<StreetShape> make_car_shapes(double paint_reflectance) {
     const StreetShape body{StreetShape::Kind::box,
                            {0.0, 0.0, 0.55 - kBoxCentre_m},
@@ -114,8 +108,7 @@ std::vector<StreetShape> make_car_shapes(double paint_reflectance) {
     return {body, cabin};
 }
 
-/// Returns the shapes of a car with transparent windows. Its cabin has pillars, seats and
-/// a roof, but no walls.
+/// The cabin has pillars, seats and a roof, but no walls.
 std::vector<StreetShape> make_glazed_car_shapes(double paint_reflectance) {
     const StreetShape body = make_car_shapes(paint_reflectance)[0];
     const StreetShape roof{StreetShape::Kind::box,
@@ -152,7 +145,6 @@ void add_parked_car(SyntheticStreet& street, double x_m, double y_m, double yaw_
     }
 }
 
-/// Adds parked cars on the road, next to the kerb.
 void add_parked_cars(SyntheticStreet& street, Random& random, const StreetSide& street_side,
                      bool have_glass_windows) {
     for (double x = -street_side.half_m + random.sample_uniform_number(2.0, 10.0);
@@ -166,8 +158,8 @@ void add_parked_cars(SyntheticStreet& street, Random& random, const StreetSide& 
     }
 }
 
-/// Adds a yard with parked cars between a wall and a fence. The fence hides about half of
-/// each car. A moving sensor therefore sees other parts of the cars in every sweep.
+/// The fence hides about half of each parked car. A moving sensor therefore sees other
+/// parts of the cars in every sweep.
 void add_yard(SyntheticStreet& street, Random& random) {
     const double fence_y = kLeftKerb_m + 2.4;
     for (double x = kYardBegin_m; x < kYardEnd_m; x += random.sample_uniform_number(0.4, 1.2))
@@ -205,8 +197,7 @@ MovingStreetActor make_moving_car(const SyntheticOptions& options, double x_at_m
     return car;
 }
 
-/// Adds a car that drives towards the sensor and is 14 m ahead of it in the middle of the
-/// log. A long street has one oncoming car per 120 m.
+/// The car is 14 m ahead in the middle of the log. A long street has one per 120 m.
 void add_oncoming_cars(SyntheticStreet& street, Random& random, const SyntheticOptions& options) {
     constexpr double kSpeed_mps = 9.0, kLane_m = 3.2;
     street.cars.push_back(make_moving_car(options, 14.0, kLane_m, kPi, kSpeed_mps, 0.35));
@@ -219,7 +210,7 @@ void add_oncoming_cars(SyntheticStreet& street, Random& random, const SyntheticO
                                                   random.sample_uniform_number(0.15, 0.8)));
 }
 
-/// Adds a bush of leaves and twigs, through which most rays pass.
+/// Most rays pass through its leaves and twigs.
 void add_bush(SyntheticStreet& street, Random& random, const glm::dvec2& position_m) {
     for (int leaf = 0; leaf < 60; ++leaf) {
         const double z_m = random.sample_uniform_number(0.1, 1.6);
@@ -232,8 +223,7 @@ void add_bush(SyntheticStreet& street, Random& random, const glm::dvec2& positio
     }
 }
 
-/// Returns a pedestrian, 1.75 m tall and 0.25 to 0.35 m wide. The box begins 0.05 m above
-/// the ground, so that it contains the feet but no ground.
+/// 1.75 m tall and 0.25 to 0.35 m wide. The box begins 0.05 m above the ground.
 MovingStreetActor make_pedestrian(const SyntheticOptions& options,
                                   const glm::dvec2& position_at_middle_time_m, double yaw_rad,
                                   double speed_mps) {
@@ -262,8 +252,8 @@ MovingStreetActor make_pedestrian(const SyntheticOptions& options,
     return walker;
 }
 
-/// Replaces the static legs of a pedestrian by swinging legs and arms. Feet on the ground
-/// do not slide: they swing backward as fast as the body moves forward.
+/// Feet on the ground do not slide: they swing backward as fast as the body moves
+/// forward.
 void replace_legs_by_swinging_limbs(MovingStreetActor& pedestrian) {
     constexpr double kLeg_m = 0.72, kLegRadius_m = 0.075, kHip_m = 0.09, kArm_m = 0.5, kArmRadius_m = 0.045,
                      kShoulder_m = 0.23;
@@ -333,8 +323,7 @@ SyntheticStreet make_street(const SyntheticOptions& options) {
     add_parked_cars(street, random, left, options.people);
     add_parked_cars(street, random, right, options.people);
     if (options.moving_cars) {
-        // Initial distance of the car ahead. It is so large that the sensor never
-        // overtakes the car.
+        // The sensor never overtakes the car ahead.
         const double ahead_m = compute_driven_distance_m(options) > kLongDrive_m
                                    ? 12.0 + 0.05 * 0.5 * compute_driven_distance_m(options)
                                    : 12.0;

@@ -28,7 +28,7 @@ namespace {
 using street::StreetHit;
 
 constexpr double kMaxRange_m = 80.0;
-// Maximum number of rays of a log. A ray needs 44 bytes, so this limits a log to 9 GB.
+// A ray needs 44 bytes, so this limits a log to 9 GB.
 constexpr double kMostRays = 2e8;
 
 void require_valid_synthetic_options(const SyntheticOptions& options) {
@@ -70,11 +70,10 @@ double compute_echo_intensity(const StreetHit& hit) {
     return glm::clamp(hit.reflectance * (0.3 + 0.7 * hit.cosine) * (1.0 - hit.range_m / 160.0), 0.0, 1.0);
 }
 
-/// Returns only the shapes that the rays of one sweep can reach. This makes ray casting
-/// faster.
+/// Skips shapes that no ray of one sweep can reach.
 street::SyntheticStreet select_shapes_in_reach_of_sweep(const street::SyntheticStreet& full_street,
                                                         const glm::dvec3& sensor_position_m, double time_s) {
-    // Upper limit of the distances that the sensor and the cars move during a sweep.
+    // how far the sensor and the cars can move during a sweep
     constexpr double kSweep_m = 20.0;
     street::SyntheticStreet nearby_street;
     for (const street::StreetShape& shape : full_street.shapes)
@@ -88,8 +87,7 @@ street::SyntheticStreet select_shapes_in_reach_of_sweep(const street::SyntheticS
     return nearby_street;
 }
 
-/// Casts every ray of a scan at its firing time. Calls on_hit(ray, hit) for each ray that
-/// hits a surface.
+/// Casts every ray at its firing time. Calls on_hit(ray, hit) for each hit.
 template <class Receive>
 void cast_rays_at_firing_times(const street::SyntheticStreet& full_street,
                                const glm::dvec3& world_origin_in_street_m, const PoseTrack& sensor_track,
@@ -98,7 +96,7 @@ void cast_rays_at_firing_times(const street::SyntheticStreet& full_street,
         full_street, sensor_track.interpolate_pose(scan_time_s).translation + world_origin_in_street_m,
         scan_time_s));
     const std::size_t columns = rays.rows > 1 ? std::size_t(rays.columns) : 1;
-    // One cache of car poses per column. Rays of a column usually have the same time.
+    // Rays of a column usually have the same time.
     std::vector<street::MovingActorPoses> actor_poses_by_column(columns);
     for (std::size_t ray = 0; ray < rays.size(); ++ray) {
         WorldRay in_street = make_world_ray(sensor_track, scan_time_s, rays, ray, true);
@@ -117,14 +115,13 @@ Scan make_empty_scan(const RayTable& rays) {
             .classes = ScanArray<SurfaceClass>(rays.size(), SurfaceClass::unknown)};
 }
 
-/// Returns the origin of the log in street coordinates: the sensor position in the middle
-/// frame.
+/// the sensor position in the middle frame
 glm::dvec3 compute_world_origin_in_street_m(const SyntheticOptions& options) {
     return street::compute_sensor_pose(options, street::compute_frame_time_s(options.n_frames / 2))
         .translation;
 }
 
-/// Casts a scan without noise. Rays with a drop probability above 0.5 are dropped.
+/// Rays with a drop probability above 0.5 are dropped.
 Scan cast_noise_free_scan_with_one_return(const street::SyntheticStreet& street,
                                           const glm::dvec3& world_origin_in_street_m, const RayTable& rays,
                                           const PoseTrack& sensor_track, double scan_time_s) {
@@ -152,8 +149,6 @@ Scan cast_noise_free_scan_with_two_returns(const street::SyntheticStreet& street
                                                    scan_time_s));
 }
 
-/// Returns the random seed of a frame. The seeds of the first LiDAR do not depend on the
-/// other LiDARs.
 std::uint64_t compute_frame_seed(const SyntheticOptions& options, const LidarFrame& frame) {
     const std::uint64_t seed = hash_integer_pair(options.seed, static_cast<std::uint64_t>(frame.index));
     return frame.lidar == 0 ? seed : hash_integer_pair(seed, static_cast<std::uint64_t>(frame.lidar));
@@ -214,8 +209,6 @@ std::vector<BoxTrack> make_car_box_tracks(const street::SyntheticStreet& street,
     return build_tracks(labels);
 }
 
-/// Returns the sensors in the rig file (a list of mounted sensors). Without a rig file,
-/// returns the default sensor.
 std::vector<MountedSensor> read_rig_or_default_sensor(const SyntheticOptions& options) {
     if (options.rig.empty()) {
         const SpinningSensor default_sensor = make_default_synthetic_sensor(options);

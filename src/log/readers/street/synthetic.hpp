@@ -9,15 +9,13 @@
 
 namespace relidar {
 
-/// Generates the log that folder/street.toml describes. The origin of the world is the
-/// position of the sensor in the middle of the full log, even if only a range of frames
-/// is loaded. This is the world of cast_rays_into_synthetic_street().
+/// Generates the log of folder/street.toml. The origin of the world is the sensor in the
+/// middle of the full log, even if only some frames are loaded.
 /// @throws DataError with the invalid key
 /// @throws UsageError if no frame is in the requested range or a poses file is given
 LidarSequence load_synthetic_dataset(const std::filesystem::path& folder, const DatasetOptions& options);
 
-/// Generates the frames [begin_frame, end_frame) of the log that make_synthetic_street()
-/// generates.
+/// Generates the frames [begin_frame, end_frame) of the log.
 LidarSequence make_synthetic_frames(const SyntheticOptions& options, int begin_frame, int end_frame);
 
 }  // namespace relidar

@@ -26,15 +26,14 @@ namespace fs = std::filesystem;
 const std::vector<std::string> kKeys{"seed",      "n_frames",    "rows",   "columns", "range_noise_m",
                                      "speed_mps", "moving_cars", "people", "gait",    "rig"};
 
-/// Reads the value of a TOML key, if the key exists. Accepts an integer as a real number.
-/// @throws DataError if the value has another wrong type
+/// Accepts an integer as a real number.
+/// @throws DataError for another type
 template <class T>
 void read_toml_value_if_present(const toml::table& table, const char* key, const char* expected_type_text,
                                 const std::string& file_name, T& value) {
     const toml::node* node = table.get(key);
     if (!node) return;
-    // toml++ converts real numbers to integers without an error. So a real number is
-    // rejected here (is_cut) if T is an integer type.
+    // toml++ converts real numbers to integers without an error.
     const bool is_cut = std::is_integral_v<T> && node->is_floating_point();
     const auto parsed_value = is_cut ? std::nullopt : node->value<T>();
     if (!parsed_value)
@@ -43,12 +42,10 @@ void read_toml_value_if_present(const toml::table& table, const char* key, const
     value = *parsed_value;
 }
 
-/// Replaces the exact poses of a synthetic log by poses from a file, but keeps the scans.
-/// Used to test the effect of wrong poses.
+/// Keeps the scans. Used to test the effect of wrong poses.
 void replace_poses_from_file(LidarSequence& sequence, const fs::path& user_pose_file) {
     std::vector<int> frames;
-    // All LiDARs of a frame share one vehicle pose, so each frame number is listed only
-    // once.
+    // All LiDARs of a frame share one pose.
     for (const LidarFrame& frame : sequence.frames)
         if (frames.empty() || frames.back() != frame.index) frames.push_back(frame.index);
     PoseTrack track{sequence.world_from_vehicle.time_s, std::vector<Pose>(frames.size())};
@@ -93,7 +90,7 @@ SyntheticOptions read_street_toml(const fs::path& toml_file) {
     read_toml_value_if_present(table, "people", "true or false", file, options.people);
     read_toml_value_if_present(table, "gait", "true or false", file, options.gait);
     read_toml_value_if_present(table, "rig", "a file", file, options.rig);
-    // If the path of the rig file is relative, it starts in the folder of street.toml.
+    // relative to the folder of street.toml
     if (!options.rig.empty()) options.rig = (toml_file.parent_path() / options.rig).string();
     return options;
 }
@@ -113,8 +110,7 @@ LidarSequence load_synthetic_dataset(const fs::path& folder, const DatasetOption
     LidarSequence sequence;
     try {
         sequence = make_synthetic_frames(street, options.frames.begin, end);
-        // The wrong value is in a file and not on the command line. The error is
-        // therefore thrown as a DataError.
+        // The wrong value is in a file, not on the command line.
     } catch (const UsageError& error) {
         fail("{}: {}", file.string(), error.what());
     }

@@ -41,7 +41,6 @@ namespace {
 namespace fs = std::filesystem;
 using namespace waymo;
 
-// Names of the LiDARs, indexed by Waymo's enum LaserName.
 constexpr const char* kLaserNames[] = {"", "TOP", "FRONT", "SIDE_LEFT", "SIDE_RIGHT", "REAR"};
 
 struct RequestedSegment {
@@ -84,7 +83,7 @@ RequestedSegment choose_segment(const fs::path& file_or_folder, const DatasetOpt
         shorten_for_error_message(options.sequence), files.size(), file_or_folder.string());
 }
 
-/// Returns the records [begin, end) that contain the requested frames.
+/// records [begin, end)
 std::pair<int, int> get_requested_record_range(const TfRecordReader& records,
                                                const FrameRange& requested_frames) {
     const int n = static_cast<int>(std::min<std::size_t>(records.size(), 1 << 30));
@@ -101,8 +100,7 @@ std::string format_record_location(const TfRecordReader& records, int record_ind
     return fmt::format("{}: record {}", records.get_file_path().string(), record_index);
 }
 
-/// Returns the vehicle pose when a pixel was measured. The pose image stores it as roll,
-/// pitch, yaw, x, y, z.
+/// The pose image stores roll, pitch, yaw, x, y, z.
 Pose read_vehicle_pose_of_pixel(const DecompressedImage& pose_image, std::size_t pixel_index,
                                 const std::string& error_location) {
     const float* v = pose_image.get_pixel_values(pixel_index);
@@ -112,12 +110,10 @@ Pose read_vehicle_pose_of_pixel(const DecompressedImage& pose_image, std::size_t
     return {make_rotation(double(v[2]), double(v[1]), double(v[0])), {v[3], v[4], v[5]}};
 }
 
-// Channels of a range image (range, intensity, elongation, no-label zone) and of a pose
-// image (roll, pitch, yaw, x, y, z).
+// range, intensity, elongation, no-label zone; and roll, pitch, yaw, x, y, z
 constexpr int kImageChannels = 4, kPoseChannels = 6;
 
-/// Reads the image with the vehicle pose of each pixel. Returns nothing if the LiDAR has
-/// no such image.
+/// Returns nothing if the LiDAR has no image of poses.
 std::optional<DecompressedImage> read_pose_image(const CompressedLidarImages& laser_images,
                                                  const DecompressedImage& range_image,
                                                  const std::string& error_location) {
@@ -138,9 +134,8 @@ const CompressedLidarImages& find_range_images_of_laser(const WaymoFrameRecord& 
          kLaserNames[laser_id]);
 }
 
-/// Waymo stores a vehicle pose for each pixel of the roof LiDAR (TOP). Returns the pose
-/// of the pixel nearest to the middle column, where the LiDAR faces forward. Skips pixels
-/// without a return.
+/// Waymo stores a pose for each pixel of TOP. Uses the pixel with a return nearest to the
+/// middle column, where TOP faces forward.
 Pose find_vehicle_pose_when_lidar_faces_forward(const WaymoFrameRecord& frame_record,
                                                 const std::string& error_location) {
     if (frame_record.images.empty() || frame_record.images.front().laser != kTop)
@@ -161,8 +156,7 @@ Pose find_vehicle_pose_when_lidar_faces_forward(const WaymoFrameRecord& frame_re
     return nearest ? read_vehicle_pose_of_pixel(*poses, *nearest, in_top) : frame_record.world_from_vehicle;
 }
 
-/// Pose and labels of a frame. They are read for all frames before any scan, because
-/// computing rays needs the poses of all frames.
+/// Read for all frames before any scan, because rays need the poses of all frames.
 struct WaymoFrameHeader {
     std::int64_t timestamp_us = 0;
     Pose world_from_vehicle;       ///< vehicle pose at the time when the head of the LiDAR faces forward
@@ -218,19 +212,15 @@ Lidar make_waymo_lidar(const WaymoFrameRecord& frame_record, const CompressedLid
     return lidar;
 }
 
-/// Converts the range images of a LiDAR in one frame to a scan, with one ray per pixel.
+/// Converts the range images of a LiDAR to a scan with one ray per pixel.
 class RangeImageReader {
 public:
-    /// Creates a reader for one LiDAR in one frame.
-    /// @param clamps  if true, intensities are clamped to 1; if false, intensities are
-    /// scaled with tanh
     RangeImageReader(const LidarSequence& sequence, const LidarFrame& frame, RayTable model,
                      std::string error_location, bool clamps)
         : lidar_(sequence.get_lidar(frame)), where_(std::move(error_location)), clamps_(clamps) {
         scan.rays = std::move(model);
         scan.range_m.assign(scan.rays.size(), 0.0f);
         scan.intensity.assign(scan.rays.size(), 0.0f);
-        // All rays of a column fire at the same time, so one pose per column is enough.
         for (int column = 0; column < scan.rays.columns; ++column) {
             const double time_s = frame.time_s + double(scan.rays.time_offset_s[std::size_t(column)]);
             sensor_from_world_.push_back(inverse(
@@ -250,7 +240,7 @@ public:
             else if (scan.range_m[ray] > 0.0f)
                 correct_ray_for_given_vehicle_pose(ray, read_vehicle_pose_of_pixel(*poses, ray, where_));
         if (!lidar_images.labels.empty()) {
-            // A pixel of the label image has two values: object instance and class.
+            // two values: object instance and class
             const DecompressedImage labels =
                 inflate_image_of_scan_size(lidar_images.labels, 2, PixelType::integer);
             scan.classes.assign(scan.rays.size(), SurfaceClass::unknown);
@@ -272,7 +262,7 @@ private:
     const Lidar& lidar_;
     std::string where_;
     bool clamps_;
-    /// [columns] transform from the world of the log to the sensor when the column fires
+    /// [columns] when the column fires
     std::vector<Pose> sensor_from_world_;
 
     DecompressedImage inflate_image_of_scan_size(std::string_view compressed_image,
@@ -284,7 +274,6 @@ private:
              image.rows, image.columns, scan.rays.rows, scan.rays.columns);
     }
 
-    /// Converts the stored intensity of a return to the range 0 to 1.
     float normalise_intensity(float stored_intensity) const {
         return clamps_ ? std::clamp(stored_intensity, 0.0f, 1.0f)
                        : std::tanh(std::max(stored_intensity, 0.0f));
@@ -304,10 +293,9 @@ private:
         }
     }
 
-    /// The dataset has an exact vehicle pose for each ray, but the log only interpolates
-    /// between vehicle poses. Changes the ray in the sensor frame, so that the
-    /// interpolated pose puts it at the correct place in the world.
-    /// @param world_from_vehicle  exact vehicle pose for this ray
+    /// Changes the ray in the sensor frame, so that the interpolated pose of the log puts
+    /// it where the exact pose would.
+    /// @param world_from_vehicle  exact pose for this ray
     void correct_ray_for_given_vehicle_pose(std::size_t ray_index, const Pose& world_from_vehicle) {
         const Pose moved = sensor_from_world_[ray_index % std::size_t(scan.rays.columns)] *
                            (world_from_vehicle * lidar_.vehicle_from_sensor);
@@ -317,8 +305,7 @@ private:
     }
 };
 
-/// Adds LiDARs, frames and box labels to the log, but no scans. The first frame defines
-/// the LiDARs.
+/// The first frame defines the LiDARs.
 void add_lidars_frames_and_boxes(LidarSequence& sequence, const TfRecordReader& records,
                                  const std::vector<WaymoFrameHeader>& frame_headers, int first_record,
                                  bool only_top_lidar) {
@@ -338,8 +325,8 @@ void add_lidars_frames_and_boxes(LidarSequence& sequence, const TfRecordReader& 
     set_log_start(sequence, 1000 * start_us, "on the clock of the dataset");
     std::vector<BoxLabel> labels;
     for (std::size_t i = 0; i < frame_headers.size(); ++i) {
-        // The time stamp is the start of the sweep, when the head faces backward. The
-        // time of a frame is half a period later, when the head faces forward.
+        // The stamp is the start of the sweep, when the head faces backward; the time of
+        // a frame is half a period later.
         const double time_s = 1e-6 * double(frame_headers[i].timestamp_us - start_us) + 0.5 * period_s;
         for (int lidar = 0; lidar < int(sequence.lidars.size()); ++lidar)
             add_frame(sequence, first_record + int(i), time_s, frame_headers[i].world_from_vehicle, lidar);
@@ -357,8 +344,7 @@ void read_scans_of_records(LidarSequence& sequence, const TfRecordReader& record
     std::vector<RayTable> models;
     for (const Lidar& lidar : sequence.lidars) {
         RayTable& model = models.emplace_back(make_rays(lidar.sensor));
-        // The dataset has ray times only for the roof LiDAR (TOP). Rays of other LiDARs
-        // get the time of the frame.
+        // Only TOP has ray times. Other rays get the time of the frame.
         if (lidar.name != kLaserNames[kTop])
             std::fill(model.time_offset_s.begin(), model.time_offset_s.end(), 0.0f);
     }

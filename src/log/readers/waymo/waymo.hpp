@@ -9,10 +9,9 @@
 
 namespace relidar {
 
-/// Loads a segment. The number of a frame is the index of its record, from 0. The option
-/// DatasetOptions::sequence selects a file by the first characters of its name, with or
-/// without "segment-". It can also be a sequence name of the LiDAR-RT paper (ws1 to ws4,
-/// wd1 to wd4), which means a part of a segment with only the LiDAR TOP.
+/// A frame number is the index of the record. DatasetOptions::sequence selects a file by
+/// the first characters of its name, with or without "segment-", or a part of a segment
+/// with only TOP in the LiDAR-RT paper (ws1 to ws4, wd1 to wd4).
 /// @param path  a .tfrecord file, or a folder of such files
 /// @throws DataError with file, record and field
 /// @throws UsageError if the segment is unknown or no frame is in the requested range

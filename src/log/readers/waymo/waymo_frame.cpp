@@ -35,8 +35,7 @@ constexpr std::uint32_t make_float_tag(std::uint32_t field_number) {
     return protozero::tag_and_type(field_number, pbf_wire_type::fixed32);
 }
 
-// Maximum size in bytes of a decompressed image. Six channels of the roof LiDAR (TOP)
-// have 4 MB.
+// bytes; six channels of TOP have 4 MB
 constexpr std::size_t kMostInflated = std::size_t(32) << 20;
 constexpr double kLargestOfFrame = 1e8;  // maximum value of all numbers in a frame (metres or radians)
 
@@ -57,7 +56,6 @@ void append_packed_doubles(pbf_reader& reader, std::vector<double>& values) {
     for (const double value : reader.get_packed_double()) values.push_back(value);
 }
 
-/// Parses a Transform message: a 4x4 matrix of doubles, row-major.
 Pose parse_transform(pbf_reader reader, const std::string& error_location) {
     std::vector<double> m;
     while (reader.next()) {
@@ -120,8 +118,6 @@ void parse_calibrations_into_frame(pbf_reader reader, WaymoFrameRecord& frame_re
     }
 }
 
-/// Compressed images of a RangeImage message: the range image, the vehicle poses of its
-/// pixels, and their labels.
 struct CompressedReturnImages {
     std::string_view image, pixel_pose, labels;
 };
@@ -170,7 +166,7 @@ CompressedLidarImages parse_laser_images(pbf_reader reader) {
     return laser;
 }
 
-/// Parses a Box message, whose fields are centre, width, length, height and heading.
+/// centre, width, length, height and heading
 void parse_box_into_label(pbf_reader reader, BoxLabel& label, const std::string& error_location) {
     double v[8] = {};
     while (reader.next()) {
@@ -219,8 +215,7 @@ void parse_label_into_frame(pbf_reader reader, WaymoFrameRecord& frame_record,
     frame_record.labels.push_back(std::move(label));
 }
 
-/// Parses a message of the type MatrixFloat or MatrixInt32. It contains values and
-/// dimensions.
+/// MatrixFloat or MatrixInt32: values and dimensions
 void parse_pixel_matrix(pbf_reader reader, PixelType pixel_type, std::vector<float>& values,
                         std::vector<std::int32_t>& dimensions) {
     while (reader.next()) {
@@ -276,8 +271,6 @@ std::string inflate_zlib_stream(std::string_view compressed_bytes, const std::st
     return bytes;
 }
 
-/// Calls a function that parses protobuf. Converts exceptions of the library protozero to
-/// DataError.
 template <class Parse>
 auto call_and_convert_protobuf_errors(const std::string& error_location, const Parse& parse_function) {
     try {

@@ -20,8 +20,7 @@ nlohmann::ordered_json make_vectors_json(const ScanArray<glm::vec3>& vectors) {
     return json;
 }
 
-/// Returns the number of rows of a ray table. This is the member `rows`, or the length of
-/// the outer list if the directions are nested lists, or 1.
+/// Returns the member `rows`, or the length of the outer list of nested directions, or 1.
 std::size_t count_ray_rows(const JsonField& field) {
     if (field.has_member("rows"))
         return std::size_t(field.at("rows").get_integer_in_range(1, std::int64_t(kMaxRays)));

@@ -10,9 +10,9 @@
 namespace relidar {
 namespace {
 
-// maximum distance of a beam's origin from the sensor's origin
+// of a beam from the origin of the sensor
 constexpr double kFarthestBeam_m = 100.0;
-// Limit for the absolute values of gains, intensity offsets and range offsets (metres).
+// gains, intensity offsets and range offsets (metres)
 constexpr double kLargestResponse = 1e3;
 constexpr double kMaxAngle_deg = 5730.0;  // 100 radians
 constexpr std::size_t kMostBeams = 65534;
@@ -50,7 +50,6 @@ void read_beams(const JsonField& field, SpinningSensor& sensor) {
             fmt::format("expected at most {} rays", kMaxRays));
 }
 
-/// Returns the JSON object of a beam. Members with their default value are left out.
 nlohmann::ordered_json make_beam_json(const Beam& beam) {
     nlohmann::ordered_json json = {{"elevation_rad", beam.elevation_rad}};
     const auto add = [&](const char* key, double value, double default_value) {
@@ -69,8 +68,7 @@ nlohmann::ordered_json make_beam_json(const Beam& beam) {
 struct SpinningFunctions {
     using Pattern = SpinningSensor;
 
-    /// Reads a spinning sensor from JSON. The beams can be missing, if only the scans of
-    /// a LiDAR are known.
+    /// The beams can be missing, if only the scans of a LiDAR are known.
     static SensorModel parse(const JsonField& field, const std::string& default_name) {
         pattern_detail::require_only_known_sensor_members(field, {"beams", "columns", "clockwise"},
                                                           {"first_azimuth"});
