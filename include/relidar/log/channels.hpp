@@ -18,17 +18,15 @@ namespace relidar {
 /// cases: sub-rays sample the same laser beam, or points fall into the same cell of a
 /// range image.
 enum class ChannelMergeRule {
-    /// Copies one value. If sub-rays sample a laser beam: from the sub-ray nearest to the
-    /// beam axis, among those that hit the surface of the strongest return. If several
-    /// points fall into an image cell: from the returned point nearest to the sensor.
+    /// Beam: the sub-ray nearest to the beam axis, among those that hit the surface of
+    /// the strongest return. Cell: the returned point nearest to the sensor.
     nearest,
-    /// Computes a range. If sub-rays sample a laser beam: the intensity-weighted mean of
-    /// those that hit the surface of the strongest return. If several points fall into an
-    /// image cell: the distance of the nearest returned point from the image origin.
+    /// Beam: the intensity-weighted mean of the sub-rays that hit the surface of the
+    /// strongest return. Cell: the distance of the nearest returned point from the image
+    /// origin.
     range,
-    /// Computes an intensity. If sub-rays sample a laser beam: the sum over those that
-    /// hit the surface of the strongest return, divided by the number of all sub-rays. If
-    /// several points fall into an image cell: the value of the nearest returned point.
+    /// Beam: the sum over the sub-rays that hit the surface of the strongest return,
+    /// divided by the number of all sub-rays. Cell: the nearest returned point.
     intensity,
     drop,  ///< Beam: mean over all sub-rays. Cell: minimum over all rays in the cell.
 };
@@ -38,21 +36,15 @@ struct ChannelInfo {
     std::string name;          ///< name in files: lower case letters, digits and _
     std::string unit = {};     ///< unit; empty for a plain number
     std::string meaning = {};  ///< description for users: a sentence without a full stop
-    /// Rule for combining the values of several rays into one value. Used for channels of
-    /// floats. Channels of integers or vectors ignore it and always copy the value of a
-    /// single ray (ChannelMergeRule::nearest).
+    /// Rule for channels of floats. Channels of integers or vectors always use `nearest`.
     ChannelMergeRule join = ChannelMergeRule::nearest;
-    /// True if the values are direction vectors, which must be rotated when the points
-    /// are converted to another frame.
+    /// True for direction vectors, which rotate with the frame of the points.
     bool turns = false;
-    /// True if the value depends only on the ray, so that all returns of a ray have the
-    /// same value.
+    /// True if all returns of a ray have the same value.
     bool of_ray = false;
-    /// Value that is stored where the true value is unknown. Examples: the ray hits
-    /// nothing, or a second return has no separate value.
+    /// Value where the true value is unknown, for example if the ray hits nothing.
     double none = 0.0;
-    /// True if the channel needs surface normals. Only surfels have normals, so scenes of
-    /// 3D Gaussians cannot render this channel.
+    /// True if the channel needs normals, which 3D Gaussians do not have.
     bool needs_normals = false;
 };
 
@@ -74,8 +66,7 @@ struct ScanChannel {
 struct BasicChannels {
     ChannelInfo range, median_range, mean_range, intensity, drop_prob, weight, time, ring, instance;
 };
-/// Returns the descriptions of the channels that every scan has, such as range and
-/// intensity. @return a reference to a static object
+/// Returns a reference to a static object.
 const BasicChannels& get_basic_channels();
 /// Returns the basic channels that are written to files, in the order of their columns in
 /// the files.
@@ -90,9 +81,8 @@ std::vector<std::string> list_optional_channel_names();
 /// name
 std::vector<ChannelInfo> parse_channel_names(const std::string& comma_separated_names);
 
-/// Returns a pointer to the values of the channel with this name. Returns null if no
-/// channel has this name. Also returns null if the values of the channel have another
-/// type than T.
+/// Returns the values of the channel with this name, or null if no channel has this name
+/// or its values have another type than T.
 template <class T>
 const std::vector<T>* find_channel_values(const std::vector<ScanChannel>& channels,
                                           const std::string& channel_name) {
@@ -126,17 +116,15 @@ std::vector<ChannelColumn> list_channel_columns(const std::vector<ScanChannel>& 
 void append_channel_values(std::string& output_bytes, const std::vector<ScanChannel>& channels,
                            std::size_t element_index);
 
-/// Returns the value of a channel for rays that hit nothing, or whose true value is
-/// unknown.
+/// Returns the value where the true value is unknown.
 template <class T>
 T get_value_of_rays_without_hit(const ChannelInfo& channel) {
     return T(static_cast<float>(channel.none));
 }
 
-/// Appends the value of one return to a channel of points. For a first return, this is
-/// the value of its ray. For a second return, it is the value in `ScanChannel::second`.
-/// If that array is empty, it is the value of the first return for a channel with
-/// `ChannelInfo::of_ray`, otherwise the default value `ChannelInfo::none`.
+/// Appends the value of one return to a channel of points. For a second return, this is
+/// the value in `ScanChannel::second`. If that array is empty, it is the value of the
+/// first return for a channel with `ChannelInfo::of_ray`, otherwise `ChannelInfo::none`.
 /// @param return_number_from_1  number of the return, starting at 1
 void append_value_of_one_return(ScanChannel& point_channel, const ScanChannel& ray_channel,
                                 std::size_t index_of_ray, int return_number_from_1);

@@ -14,8 +14,7 @@
 
 namespace relidar {
 
-/// Range of frame numbers, written "a:b" on the command line. The range starts with frame
-/// a and ends before frame b. The user may omit either number.
+/// Frames [begin, end), written "a:b" on the command line.
 struct FrameRange {
     int begin = 0;
     int end = -1;  ///< -1: up to the last frame
@@ -29,8 +28,7 @@ inline constexpr const char* kNoPoses = "none";
 
 /// Options that only the reader of ROS bags uses.
 struct BagOptions {
-    /// TF frame or topic of a ROS bag from which the poses are read. If the text is
-    /// empty, the reader chooses one.
+    /// TF frame or topic of the poses. If the text is empty, the reader chooses one.
     std::string poses_from = {};
 };
 
@@ -42,32 +40,27 @@ struct WaymoOptions {
 
 /// Options for reading a log.
 struct DatasetOptions {
-    /// Name of the drive to read if the dataset has several drives. If the name is empty,
-    /// the first drive is read.
+    /// Name of the drive, if the dataset has several drives. Empty: the first drive.
     std::string sequence = {};
     FrameRange frames = {};
-    /// Text file with poses world_from_vehicle. Line i holds the 3 x 4 matrix of frame i,
-    /// row by row. Alternatively, each line holds a time, a position, and a quaternion or
-    /// three angles; these poses are interpolated (docs/datasets.md). If the path is
-    /// empty, the poses of the dataset are used. The value kNoPoses means that no poses
-    /// are read.
+    /// Text file with poses world_from_vehicle: 3 x 4 matrices of frames, row by row, or
+    /// times, positions, and quaternions or angles (docs/datasets.md). Empty: poses of the
+    /// dataset. kNoPoses: no poses.
     std::filesystem::path poses_file = {};
-    /// True: frames without a scan are skipped. False: a missing scan is an error.
+    /// True: skips frames without a scan. False: a missing scan is an error.
     bool allow_missing_scans = true;
-    /// True: the reader skips scans that it cannot read, and adds a note to the log for
-    /// each. False: the first unreadable scan is an error.
+    /// True: skips unreadable scans with notes. False: an unreadable scan is an error.
     bool skip_broken = false;
     /// True: each ray has its own firing time. False: all rays of a sweep are treated as
     /// if they were fired at the reference time of the sweep.
     bool rolling_shutter = true;
     double max_range_m = 80.0;  ///< Returns beyond this range are treated as dropped.
     double min_range_m = 0.0;   ///< Returns nearer than this range are treated as dropped.
-    /// Names of the LiDARs to read. If the list is empty, all LiDARs are read.
+    /// names of the LiDARs to read; empty: all
     std::vector<std::string> lidars = {};
-    /// Maximum number of scans to read from each LiDAR, for a preview of a long log. The
-    /// reader chooses scans that are spread evenly over the log. All other frames have no
-    /// rays. 0: read all scans. Logs of KITTI, Argoverse 2, Waymo, and nuScenes with its
-    /// original HDL-32E are always read completely.
+    /// Maximum number of scans of each LiDAR, spread evenly over the log, for a preview.
+    /// All other frames have no rays. 0: all scans. Logs of KITTI, Argoverse 2, Waymo, and
+    /// nuScenes with its original HDL-32E are always read completely.
     int max_scans = 0;
     ProgressReporter progress = {};  ///< receives the progress of reading
     BagOptions bag = {};
@@ -81,25 +74,20 @@ struct DatasetOptions {
 /// @throws UsageError for an unknown kind or an empty frame range
 LidarSequence load_sequence(const std::string& dataset, const DatasetOptions& options);
 
-/// Makes the path in a dataset argument of load_sequence() absolute, so that the argument
-/// does not depend on the working directory. Keeps a prefix "kind:".
+/// Makes the path of a dataset argument absolute. Keeps a prefix "kind:".
 std::string make_dataset_path_absolute(const std::string& dataset);
 
-/// Returns the kind of a dataset, for example "kitti_raw" or "waymo". docs/datasets.md
-/// lists all kinds.
+/// Returns the kind of a dataset, for example "kitti_raw" (docs/datasets.md).
 /// @throws DataError if the path is not a dataset of a known kind
 std::string detect_dataset_kind(const std::filesystem::path& path);
 
 /// Options of save_folder().
 struct LogFolderOptions {
-    /// True: replaces an existing log folder (dataset kind "folder") at this path. The
-    /// old folder is kept until the new folder is complete.
+    /// True: replaces an existing log folder, which is kept until the new one is complete.
     bool overwrite = false;
-    /// False: no poses are written. Used for logs that were read without poses
-    /// (kNoPoses).
+    /// False: no poses are written, for logs that were read without poses (kNoPoses).
     bool poses = true;
-    /// Receives the progress of writing. If the callback throws an exception, writing
-    /// stops and leaves no files.
+    /// If the callback throws an exception, writing stops and leaves no files.
     ProgressReporter progress = {};
 };
 /// Writes a log as a plain folder (kind "folder", docs/datasets.md) that load_sequence()
@@ -125,9 +113,8 @@ struct SyntheticOptions {
     double range_noise_m = 0.01;  ///< standard deviation of the range noise
     double speed_mps = 8.0;       ///< speed of the sensor along the street
     bool moving_cars = true;
-    /// Path of a file that describes several sensors mounted on the vehicle. These
-    /// sensors then record the log. If the path is empty, the log is recorded by one
-    /// default sensor with `rows` and `columns`.
+    /// File with the sensors that record the log. Empty: one sensor with `rows` and
+    /// `columns`.
     std::string rig = {};
     /// Adds people and other objects to the street: three pedestrians, a cyclist, cars
     /// parked behind a fence, cars with transparent windows, and bushes.
@@ -174,7 +161,6 @@ struct SyntheticCar {
 Scan cast_rays_into_synthetic_street(const SyntheticOptions& options, const std::vector<SyntheticCar>& cars,
                                      const RayTable& rays, const PoseTrack& world_from_sensor, double time_s);
 
-/// Reads the options of a synthetic log that save_synthetic_options() wrote.
 /// @throws DataError naming the key that is wrong
 SyntheticOptions read_synthetic_options(const std::filesystem::path& folder);
 

@@ -41,7 +41,6 @@ struct ScanMemoryUse {
     std::uint64_t in_memory = 0;
     std::uint64_t in_file = 0;
 };
-/// Returns the current memory use of the arrays of all scans.
 ScanMemoryUse get_scan_memory_use();
 
 /// Allocates an array in memory, or in a mapped file if the memory limit is reached.
@@ -68,13 +67,11 @@ struct ScanAllocator {
 template <class T>
 using ScanArray = std::vector<T, ScanAllocator<T>>;
 
-/// Copies an array of a scan to a vector in memory.
 template <class T>
 std::vector<T> to_vector(const ScanArray<T>& values) {
     return {values.begin(), values.end()};
 }
 
-/// Copies a vector to an array of a scan.
 template <class T>
 ScanArray<T> to_scan_array(const std::vector<T>& values) {
     return {values.begin(), values.end()};
@@ -100,10 +97,10 @@ struct RayTable {
     double get_beam_divergence_rad(std::size_t ray) const {
         return ray_divergence_rad.empty() ? divergence_rad : ray_divergence_rad[ray];
     }
-    /// Returns the largest divergence in the table, or 0 if all rays are ideal.
+    /// Returns 0 if all rays are ideal.
     double find_max_divergence_rad() const;
-    /// Appends a ray of another table. If this function is called repeatedly, all rays
-    /// must come from the same table. Does not change `rows` and `columns`.
+    /// Appends a ray of another table, always of the same one. Does not change `rows` and
+    /// `columns`.
     void append_ray(const RayTable& source_table, std::size_t ray_index);
 };
 /// Returns the offsets of the sub-rays that sample the footprint of a beam: [count], in
@@ -117,7 +114,7 @@ std::vector<glm::dvec2> make_footprint_offsets(int n_sub_rays);
 /// degrees. The first column then follows the last column.
 /// @param directions [rows*columns] directions of the rays, sensor frame
 bool is_full_turn(int rows, int columns, std::span<const glm::vec3> directions);
-/// Returns a new table with the selected rays of a table, without image order (rows = 1).
+/// Returns a table without image order (rows = 1).
 RayTable select_rays(const RayTable& rays, const std::vector<std::size_t>& ray_indices);
 
 /// A beam of a spinning LiDAR. When the rotating head is at azimuth theta
@@ -153,8 +150,8 @@ struct Beam {
                                                  double intensity_factor_at_range) const;
 };
 
-/// Returns the calibration of the beam with this number. If no such beam exists, returns
-/// the calibration of an ideal beam, which changes neither range nor intensity.
+/// Returns an ideal beam, which changes neither range nor intensity, if the number is
+/// unknown.
 const Beam& find_beam_of_channel(const std::vector<Beam>& beams, std::size_t channel);
 
 /// Range limits of a sensor. A ray whose range is outside the limits is dropped.
@@ -162,16 +159,13 @@ struct RangeLimits {
     double min_m = 0.0;
     double max_m = std::numeric_limits<double>::infinity();
 
-    /// Returns true if the range is within the limits. Returns false for a range of 0,
-    /// which means that the ray hit nothing.
+    /// Returns false for a range of 0, which means that the ray hit nothing.
     bool contains(double range_m) const { return range_m > 0.0 && range_m >= min_m && range_m <= max_m; }
 };
-/// Returns the intersection of two range limits.
-/// @throws UsageError if it contains no range
+/// @throws UsageError if the intersection contains no range
 RangeLimits intersect_range_limits(const RangeLimits& first, const RangeLimits& second);
 
-/// A spinning LiDAR: its beams, the number of azimuth steps in a sweep, and the timing of
-/// the sweep.
+/// A spinning LiDAR.
 struct SpinningSensor {
     std::string name;
     std::vector<Beam> beams;  ///< beams, highest first
@@ -194,12 +188,10 @@ struct BeamRay {
     glm::dvec3 direction;
 };
 
-/// Returns the origin and the direction of a beam while the head is at an azimuth. Uses
-/// the equation of `Beam`.
+/// Uses the equation of `Beam`.
 BeamRay compute_beam_ray(const Beam& beam, double head_azimuth_rad);
 
-/// Returns the azimuth of the head at which a beam hits a point. This is the inverse of
-/// compute_beam_ray().
+/// Inverse of compute_beam_ray(): azimuth of the head at which a beam hits a point.
 /// @param point_m [3] metres, sensor frame
 /// @return radians, not wrapped to a range
 double compute_head_azimuth_facing_point_rad(const Beam& beam, const glm::dvec3& point_m);
@@ -335,7 +327,6 @@ RayTable make_rays(const WindowScanSensor& window);
 /// docs/architecture.md lists the kinds of patterns in a table.
 using SensorPattern = std::variant<SpinningSensor, WindowScanSensor, RosetteSensor, RayTable>;
 
-/// Returns the rays of the scan at a time.
 /// @throws UsageError if a value of the pattern is invalid
 RayTable make_rays(const SensorPattern& pattern, double time_s);
 
@@ -349,48 +340,38 @@ struct AzimuthSweep {
 /// Properties of a scan pattern that are known without generating its rays.
 struct ScanPatternSummary {
     std::size_t n_rays = 0;  ///< number of rays in a scan
-    /// Duration of a scan. 0 if the pattern has no fixed duration and only stores the
-    /// time offsets of its rays.
+    /// duration of a scan; 0 if the pattern only stores the time offsets of its rays
     double period_s = 0.0;
     bool has_rays_by_time = false;  ///< True if scans at different times have different rays.
-    /// Azimuths of the columns. Set only for a sensor that does not spin and fires column
-    /// by column.
+    /// set only for a sensor that does not spin and fires column by column
     std::optional<AzimuthSweep> sweep = {};
 };
-/// Returns the number of rays, duration and sweep of a scan pattern.
 ScanPatternSummary summarise_scan_pattern(const SensorPattern& pattern);
-/// Returns the duration of a scan in seconds. Returns 0 if the pattern has no fixed
-/// duration and only stores the time offsets of its rays.
+/// Returns ScanPatternSummary::period_s.
 double get_scan_period_s(const SensorPattern& pattern);
 
 /// A sensor to simulate: its scan pattern and its range limits.
 struct SensorModel {
     std::string name;
-    /// One line of text that describes the sensor and names the source of the
-    /// specification. Empty for a sensor that was read from a file.
+    /// One line that names the source of the specification. Empty for a sensor file.
     std::string about = {};
     RangeLimits limits = {};
     SensorPattern pattern;
 };
 
-/// Returns the rays of the scan at a time.
 /// @throws UsageError as make_rays() of the pattern
 RayTable make_rays(const SensorModel& sensor, double time_s = 0.0);
 
-/// Returns the scan pattern of a sensor that does not spin. Returns nothing for a
-/// spinning sensor.
+/// Returns nothing for a spinning sensor.
 std::optional<SensorPattern> get_non_spinning_pattern(const SensorModel& sensor);
 
 /// Returns the names that find_built_in_sensor() accepts.
 std::vector<std::string> list_sensor_names();
 /// Returns the built-in sensor with this name, or nothing if no sensor has this name.
 /// @param name  for example "VLP-16" or "kitti360", in upper or lower case
-/// @param columns  azimuth steps in a sweep of a spinning sensor; 0: the default of the
-/// sensor
-/// @param rotation_rate_hz  rotation rate of a spinning sensor; 0: the default of the
-/// sensor
-/// @throws UsageError if `columns` or `rotation_rate_hz` is set for a sensor that does
-/// not spin
+/// @param columns,rate_hz  azimuth steps and rotation rate of a spinning sensor; 0: the
+/// defaults of the sensor
+/// @throws UsageError if one of them is set for a sensor that does not spin
 std::optional<SensorModel> find_built_in_sensor(const std::string& name, int columns = 0,
                                                 double rate_hz = 0.0);
 
@@ -403,9 +384,7 @@ std::optional<SensorModel> find_built_in_sensor(const std::string& name, int col
 ///   head turns during this delay;
 /// - min_range_m, max_range_m: limits of the sensor;
 /// - channel: the manufacturer's channel number, which is ignored.
-/// @param error_location  name of the table in error messages
 /// @param n_columns  azimuth steps in a sweep
-/// @param rotation_rate_hz  rotation rate
 /// @throws DataError naming the line and the value that is wrong
 SpinningSensor parse_beam_table(const std::string& text, const std::string& error_location, int n_columns,
                                 double rotation_rate_hz);
