@@ -406,7 +406,7 @@ RULES = (check_includes, check_umbrella, check_files, check_documents)
 # A fault for each rule: the file, the text that is added, and a part of the violation.
 FAULTS = [
     ("src/base/files.hpp", "#include <relidar/log/sensor.hpp>\n", "base may not include log"),
-    ("src/log/readers/once/once.cpp", '#include "log/readers/boreas/boreas.hpp"\n', "readers do not include"),
+    ("src/log/readers/once/once.cpp", '#include "log/readers/waymo/waymo_frame.hpp"\n', "readers do not include"),
     ("include/relidar/log/sensor.hpp", '#include "base/files.hpp"\n', "only public headers"),
     ("src/run/edit/edit.cpp", '#include "scene/visibility.hpp"\n', "only through its public headers"),
     ("src/log/sensor/beam.cpp", "#include <volk.h>\n", "<volk.h> is not allowed here"),

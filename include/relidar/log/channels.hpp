@@ -119,7 +119,7 @@ void append_channel_values(std::string& output_bytes, const std::vector<ScanChan
 /// Returns the value where the true value is unknown.
 template <class T>
 T get_value_of_rays_without_hit(const ChannelInfo& channel) {
-    return T(static_cast<float>(channel.none));
+    return T(float(channel.none));
 }
 
 /// Appends the value of one return to a channel of points. For a second return, this is

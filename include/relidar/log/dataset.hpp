@@ -18,6 +18,8 @@ namespace relidar {
 struct FrameRange {
     int begin = 0;
     int end = -1;  ///< -1: up to the last frame
+
+    bool contains(int number) const { return number >= begin && (end < 0 || number < end); }
 };
 
 /// Value of `DatasetOptions::poses_file` that means "the log has no poses". All vehicle

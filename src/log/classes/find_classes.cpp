@@ -49,7 +49,7 @@ SurfaceClassMap compute_map_of_surface_classes(const LidarSequence& sequence,
     std::vector<BoxTrack> moving = boxes;
     std::erase_if(moving, [](const BoxTrack& box) { return !box.is_moving(); });
     std::vector<std::vector<SurfaceClassCell>> votes_of_frame(frame_indices.size());
-    parallel_for(static_cast<int>(frame_indices.size()), [&](int index) {
+    parallel_for(int(frame_indices.size()), [&](int index) {
         const LidarFrame& frame = sequence.frames[std::size_t(frame_indices[std::size_t(index)])];
         votes_of_frame[std::size_t(index)] =
             collect_class_votes(sequence, world_from_sensor[std::size_t(frame.lidar)], moving, frame);

@@ -261,7 +261,7 @@ std::vector<fs::path> add_frames_and_get_scan_files(LidarSequence& sequence, con
     std::vector<fs::path> files;
     std::vector<const StampedScanFile*> without;
     for (const StampedScanFile& scan : log.scans) {
-        if (scan.number < range.begin || (range.end >= 0 && scan.number >= range.end)) continue;
+        if (!range.contains(scan.number)) continue;
         const double time_s = log.convert_stamp_to_seconds(scan.stamp);
         const std::optional<Pose> pose =
             options.poses_file.empty() ? interpolate_pose_if_well_covered(log, time_s) : Pose{};

@@ -38,9 +38,8 @@ std::vector<double> compute_observed_ray_lengths_of_column_m(const std::vector<d
 void mark_space_between_rays_observed(ObservedVoxelSet& coverage, const ObservedRaySegment& first_ray,
                                       const ObservedRaySegment& second_ray) {
     const double length_m = std::min(first_ray.length_m, second_ray.length_m);
-    const int n =
-        static_cast<int>(length_m * glm::distance(first_ray.ray.direction, second_ray.ray.direction) /
-                         ObservedVoxelSet::kCell_m);
+    const int n = int(length_m * glm::distance(first_ray.ray.direction, second_ray.ray.direction) /
+                      ObservedVoxelSet::kCell_m);
     for (int k = 1; k <= n; ++k) {
         const double s = double(k) / (n + 1);
         const glm::dvec3 origin_m = glm::mix(first_ray.ray.origin_m, second_ray.ray.origin_m, s);
@@ -63,7 +62,7 @@ ObservedVoxelSet compute_voxels_observed_by_frame(const LidarSequence& sequence,
         const int sensor_columns = sequence.get_lidar(frame).sensor.columns;
         const double step_m =
             sensor_columns > 0 ? 2.0 * kPi / sensor_columns * max_range_m : ObservedVoxelSet::kCell_m;
-        step = static_cast<std::size_t>(std::clamp(ObservedVoxelSet::kCell_m / step_m, 1.0, 16.0));
+        step = std::size_t(std::clamp(ObservedVoxelSet::kCell_m / step_m, 1.0, 16.0));
     }
     std::vector<double> range_m(rows);
     std::vector<ObservedRaySegment> looks(rows);
@@ -94,7 +93,7 @@ ObservedVoxelSet compute_observed_coverage(const LidarSequence& sequence, const 
         world_from_sensor.push_back(compute_mounted_track(world_from_vehicle, lidar.vehicle_from_sensor));
     ObservedVoxelSet all;
     std::mutex mutex;
-    parallel_for(static_cast<int>(frame_indices.size()), [&](int index) {
+    parallel_for(int(frame_indices.size()), [&](int index) {
         const LidarFrame& frame = sequence.frames[std::size_t(frame_indices[std::size_t(index)])];
         const ObservedVoxelSet one = compute_voxels_observed_by_frame(
             sequence, world_from_sensor[std::size_t(frame.lidar)], frame, max_range_m);

@@ -21,18 +21,8 @@
 #include "log/clouds/other_formats.hpp"
 #include "log/clouds/point_table.hpp"
 #include "log/clouds/pose_conventions.hpp"
-#include "log/readers/argoverse2/argoverse2.hpp"
 #include "log/readers/bag/load_ros_bag.hpp"
-#include "log/readers/boreas/boreas.hpp"
-#include "log/readers/folder/plain_folder.hpp"
-#include "log/readers/kitti/kitti_360.hpp"
-#include "log/readers/kitti/kitti_odometry.hpp"
-#include "log/readers/kitti/kitti_raw.hpp"
-#include "log/readers/mulran/mulran.hpp"
-#include "log/readers/nuscenes/nuscenes.hpp"
-#include "log/readers/once/once.hpp"
-#include "log/readers/street/synthetic.hpp"
-#include "log/readers/waymo/waymo.hpp"
+#include "log/readers/readers.hpp"
 
 namespace relidar {
 namespace {
@@ -127,22 +117,27 @@ void throw_if_scans_lack_sequence_json(const fs::path& path) {
     }
 }
 
+/// Calls visit(range_m) for all returns of a scan.
+template <class Visit>
+void visit_ranges(const Scan& scan, const Visit& visit) {
+    for (const float range_m : scan.range_m) visit(range_m);
+    for (const AdditionalReturns& second : scan.second_returns)
+        for (const float range_m : second.range_m) visit(range_m);
+}
+
 /// Rounds the largest range up to metres. Returns 80 m without returns.
 double find_farthest_return_m(const LidarSequence& sequence, int lidar_index) {
     // No LiDAR on a vehicle measures larger ranges.
     constexpr float kFarthest_m = 1000.0f;
     constexpr double kWithoutReturns_m = 80.0;
     std::vector<float> farthest(sequence.frames.size(), 0.0f);
-    parallel_for(static_cast<int>(farthest.size()), [&](int index) {
+    parallel_for(int(farthest.size()), [&](int index) {
         const LidarFrame& frame = sequence.frames[std::size_t(index)];
         if (frame.lidar != lidar_index) return;
-        const auto look = [&](float range_m) {
+        visit_ranges(frame.scan, [&](float range_m) {
             if (range_m <= kFarthest_m)
                 farthest[std::size_t(index)] = std::max(farthest[std::size_t(index)], range_m);
-        };
-        for (const float range_m : frame.scan.range_m) look(range_m);
-        for (const AdditionalReturns& second : frame.scan.second_returns)
-            for (const float range_m : second.range_m) look(range_m);
+        });
     });
     const float all = farthest.empty() ? 0.0f : *std::ranges::max_element(farthest);
     return all > 0.0f ? std::ceil(double(all)) : kWithoutReturns_m;
@@ -153,7 +148,7 @@ void set_unknown_max_ranges(LidarSequence& sequence) {
     for (std::size_t l = 0; l < sequence.lidars.size(); ++l) {
         SpinningSensor& sensor = sequence.lidars[l].sensor;
         if (std::isfinite(sensor.max_range_m)) continue;
-        sensor.max_range_m = find_farthest_return_m(sequence, static_cast<int>(l));
+        sensor.max_range_m = find_farthest_return_m(sequence, int(l));
         const std::string& name = sequence.lidars[l].name;
         sequence.notes.push_back(
             fmt::format("maximum range{}: relidar uses the range of the farthest return, {} m, because the "
@@ -168,14 +163,11 @@ struct RangeLimitCounts {
 
 RangeLimitCounts count_returns_outside_limits(const Scan& scan, const RangeLimits& limits) {
     RangeLimitCounts counts;
-    const auto look = [&](float range_m) {
+    visit_ranges(scan, [&](float range_m) {
         counts.n_returns += range_m > 0.0f;
         counts.n_below_min += range_m > 0.0f && double(range_m) < limits.min_m;
         counts.n_above_max += double(range_m) > limits.max_m;
-    };
-    for (const float range_m : scan.range_m) look(range_m);
-    for (const AdditionalReturns& second : scan.second_returns)
-        for (const float range_m : second.range_m) look(range_m);
+    });
     return counts;
 }
 
@@ -223,7 +215,7 @@ void apply_range_limits_to_lidars_and_scans(LidarSequence& sequence, const Range
         lidar.sensor.max_range_m = limits.max_m;
     }
     std::vector<RangeLimitCounts> counts(sequence.frames.size());
-    parallel_for(static_cast<int>(counts.size()), [&](int index) {
+    parallel_for(int(counts.size()), [&](int index) {
         LidarFrame& frame = sequence.frames[std::size_t(index)];
         const RangeLimits limits = sequence.get_lidar(frame).sensor.range_limits();
         counts[std::size_t(index)] = count_returns_outside_limits(frame.scan, limits);
@@ -250,7 +242,7 @@ void remove_all_except_named_lidars(LidarSequence& sequence, const std::vector<s
     for (std::size_t l = 0; l < new_index_of_lidar.size(); ++l) {
         if (new_index_of_lidar[l] < 0) left_out.push_back(sequence.lidars[l].name);
         else {
-            new_index_of_lidar[l] = static_cast<int>(remaining_lidars.size());
+            new_index_of_lidar[l] = int(remaining_lidars.size());
             remaining_lidars.push_back(std::move(sequence.lidars[l]));
         }
     }
@@ -301,7 +293,7 @@ void set_sweep_starts_and_azimuth_shifts(LidarSequence& sequence) {
     std::vector<RayTable> nominal;
     for (const Lidar& lidar : sequence.lidars)
         nominal.push_back(lidar.pattern ? RayTable{} : make_nominal_rays(lidar, 0.0));
-    parallel_for(static_cast<int>(sequence.frames.size()), [&](int index) {
+    parallel_for(int(sequence.frames.size()), [&](int index) {
         LidarFrame& frame = sequence.frames[std::size_t(index)];
         frame.start = find_sweep_start(frame.scan.rays, sequence.get_lidar(frame));
         frame.azimuth_shift_rad = measure_azimuth_shifts_rad(frame.scan, sequence.get_lidar(frame).sensor,
@@ -350,15 +342,13 @@ std::string make_dataset_path_absolute(const std::string& dataset) {
 
 LidarSequence load_sequence(const std::string& dataset, const DatasetOptions& options) {
     const FrameRange& range = options.frames;
-    if (range.begin < 0 || range.end < -1 || (range.end != -1 && range.begin >= range.end)) {
+    if (range.begin < 0 || range.end < -1 || (range.end != -1 && range.begin >= range.end))
         fail<UsageError>("the frame range {}:{} is empty, expected a:b with 0 <= a < b", range.begin,
                          range.end);
-    }
-    if (!(options.min_range_m >= 0.0 && options.max_range_m > options.min_range_m)) {
+    if (!(options.min_range_m >= 0.0 && options.max_range_m > options.min_range_m))
         fail<UsageError>(
             "the range limits are {} to {} m, expected 0 <= dataset.min_range_m < dataset.max_range_m",
             options.min_range_m, options.max_range_m);
-    }
     LidarSequence sequence = find_dataset_kind_of_path(dataset, options.sequence)
                                  .load(split_kind_and_path(dataset).second, options);
     sequence.rolling_shutter = sequence.rolling_shutter && options.rolling_shutter;

@@ -58,12 +58,11 @@ BeamTableRow parse_beam_cells(const std::vector<std::string_view>& cells,
         const FieldRule& rule = kFields[f];
         value[f] = rule.missing;
         if (column_of_field[f] < 0) continue;
-        const std::string_view cell = cells[static_cast<std::size_t>(column_of_field[f])];
+        const std::string_view cell = cells[std::size_t(column_of_field[f])];
         const auto number = parse_number(cell);
-        if (!number || !(*number >= rule.low && *number <= rule.high)) {
+        if (!number || !(*number >= rule.low && *number <= rule.high))
             fail("{}: {} is '{}', expected a number in [{}, {}]", error_location, rule.name, cell, rule.low,
                  rule.high);
-        }
         value[f] = *number;
     }
     return value;
@@ -81,21 +80,18 @@ void append_beam(SpinningSensor& sensor, const BeamTableRow& row_values, const s
         sensor.min_range_m = row_values[kMinRange];
         sensor.max_range_m = row_values[kMaxRange];
     }
-    if (row_values[kMinRange] != sensor.min_range_m || row_values[kMaxRange] != sensor.max_range_m) {
+    if (row_values[kMinRange] != sensor.min_range_m || row_values[kMaxRange] != sensor.max_range_m)
         fail(
             "{}: found range limits of {} to {} m, expected {} to {} m like in the first line, because all "
             "beams have the same limits",
             error_location, row_values[kMinRange], row_values[kMaxRange], sensor.min_range_m,
             sensor.max_range_m);
-    }
-    if (!(row_values[kMinRange] < row_values[kMaxRange])) {
+    if (!(row_values[kMinRange] < row_values[kMaxRange]))
         fail("{}: found range limits of {} to {} m, expected min_range_m below max_range_m", error_location,
              row_values[kMinRange], row_values[kMaxRange]);
-    }
-    if (!sensor.beams.empty() && beam.elevation_rad > sensor.beams.back().elevation_rad) {
+    if (!sensor.beams.empty() && beam.elevation_rad > sensor.beams.back().elevation_rad)
         fail("{}: elevation_deg increases, expected rows from the highest beam to the lowest",
              error_location);
-    }
     sensor.beams.push_back(beam);
 }
 
@@ -104,10 +100,10 @@ void append_beam(SpinningSensor& sensor, const BeamTableRow& row_values, const s
 SpinningSensor parse_beam_table(const std::string& text, const std::string& error_location, int n_columns,
                                 double rotation_rate_hz) {
     const std::vector<std::string> lines = split_lines(text);
-    const auto first = static_cast<std::size_t>(
-        std::find_if(lines.begin(), lines.end(),
-                     [](const std::string& line) { return !line.starts_with('#'); }) -
-        lines.begin());
+    const auto first =
+        std::size_t(std::find_if(lines.begin(), lines.end(),
+                                 [](const std::string& line) { return !line.starts_with('#'); }) -
+                    lines.begin());
     const std::vector<std::string_view> header =
         first == lines.size() ? std::vector<std::string_view>{} : split_csv_cells(lines[first]);
     std::vector<std::string> column_names;
@@ -125,9 +121,8 @@ SpinningSensor parse_beam_table(const std::string& text, const std::string& erro
         if (trim_blanks_at_both_ends(lines[l]).empty() || lines[l].starts_with('#')) continue;
         const std::string line = fmt::format("{} line {}", error_location, l + 1);
         const auto cells = split_csv_cells(lines[l]);
-        if (cells.size() != header.size()) {
+        if (cells.size() != header.size())
             fail("{}: found {} values, expected {} like in the header", line, cells.size(), header.size());
-        }
         append_beam(sensor, parse_beam_cells(cells, at, line), line);
     }
     if (sensor.beams.empty())

@@ -14,7 +14,7 @@ std::size_t RayDropTable::compute_drop_table_index_of_ray(std::uint16_t channel,
     // Bin 0 begins at +180 degrees; bins continue clockwise, like columns.
     const double revolution_fraction =
         (1.0 - std::atan2(double(direction.y), double(direction.x)) / kPi) / 2.0;
-    const int bin = std::clamp(static_cast<int>(revolution_fraction * bins), 0, bins - 1);
+    const int bin = std::clamp(int(revolution_fraction * bins), 0, bins - 1);
     return std::size_t(channel) * std::size_t(bins) + std::size_t(bin);
 }
 

@@ -71,10 +71,9 @@ SpinningSensor make_spinning_sensor_without_beams(const std::string& name, int n
 }
 
 void append_evenly_spaced_beams(SpinningSensor& sensor, int n_beams, double top_deg, double bottom_deg) {
-    for (int i = 0; i < n_beams; ++i) {
+    for (int i = 0; i < n_beams; ++i)
         sensor.beams.push_back(
             {.elevation_rad = (top_deg + (bottom_deg - top_deg) * i / (n_beams - 1)) * kDegree});
-    }
 }
 
 SensorModel make_sensor_model(SpinningSensor sensor, const std::string& description) {
@@ -83,9 +82,8 @@ SensorModel make_sensor_model(SpinningSensor sensor, const std::string& descript
 
 /// The upper 32 beams start at +2 degrees, with steps of 1/3 degree. The lower 32 beams
 /// end at -24.33 degrees, with steps of 1/2 degree.
-SensorModel make_hdl64e_sensor(int columns_or_zero, double rate_hz) {
-    SpinningSensor sensor =
-        make_spinning_sensor_without_beams("HDL-64E", columns_or_zero ? columns_or_zero : 2083, rate_hz);
+SensorModel make_hdl64e_sensor(int columns, double rate_hz) {
+    SpinningSensor sensor = make_spinning_sensor_without_beams("HDL-64E", columns ? columns : 2083, rate_hz);
     append_evenly_spaced_beams(sensor, 32, 2.0, 2.0 - 31.0 / 3.0);
     append_evenly_spaced_beams(sensor, 32, -24.33 + 31.0 * 0.5, -24.33);
     sensor.max_range_m = 120.0;
@@ -94,9 +92,9 @@ SensorModel make_hdl64e_sensor(int columns_or_zero, double rate_hz) {
 }
 
 /// Waymo publishes only the highest and the lowest elevation.
-SensorModel make_waymo_side_sensor(int columns_or_zero, double rate_hz) {
+SensorModel make_waymo_side_sensor(int columns, double rate_hz) {
     SpinningSensor sensor =
-        make_spinning_sensor_without_beams("waymo-side", columns_or_zero ? columns_or_zero : 600, rate_hz);
+        make_spinning_sensor_without_beams("waymo-side", columns ? columns : 600, rate_hz);
     constexpr double step_deg = 120.0 / 200.0;
     append_evenly_spaced_beams(sensor, 200, 30.0 - 0.5 * step_deg, -90.0 + 0.5 * step_deg);
     sensor.max_range_m = 20.0;
@@ -106,43 +104,55 @@ SensorModel make_waymo_side_sensor(int columns_or_zero, double rate_hz) {
 }
 
 /// The rays are the pixels of the KITTI-360 range images that publications use.
-SensorModel make_kitti360_sensor(int columns_or_zero, double rate_hz) {
+SensorModel make_kitti360_sensor(int columns, double rate_hz) {
     const RangeImageGrid grid = make_kitti360_grid();
-    SpinningSensor sensor = make_spinning_sensor_without_beams(
-        grid.name, columns_or_zero ? columns_or_zero : grid.columns, rate_hz);
+    SpinningSensor sensor =
+        make_spinning_sensor_without_beams(grid.name, columns ? columns : grid.columns, rate_hz);
     sensor.first_azimuth_rad = kPi;
     sensor.max_range_m = grid.max_range_m;
-    for (int row = 0; row < grid.rows; ++row) {
+    for (int row = 0; row < grid.rows; ++row)
         sensor.beams.push_back({.elevation_rad = grid.fov_up_rad - row * grid.fov_rad / grid.rows});
-    }
     return make_sensor_model(std::move(sensor), "image size of published results on KITTI-360, 66 x 1030");
 }
 
-std::string get_beam_table_text(const std::string& name) {
+/// A built-in beam table.
+struct BeamTable {
+    std::string source;  ///< where the values are from
+    std::string csv;     ///< for parse_beam_table()
+};
+
+/// The first line of a file is # and the source of the values. Every other line is the
+/// name of a column and its values, highest beam first, or one value for all beams.
+BeamTable find_beam_table(const std::string& name) {
     const auto tables = sensor_table_texts();
-    const auto table = std::find_if(tables.begin(), tables.end(),
-                                    [&](const auto& named) { return named.first == name + ".csv"; });
+    const auto table =
+        std::ranges::find(tables, name + ".csv", [](const auto& named) { return std::string(named.first); });
     RELIDAR_ASSERT_EQ(table != tables.end(), true);
-    return std::string(table->second);
+    const std::vector<std::string> lines = split_lines(std::string(table->second));
+    std::vector<std::vector<std::string_view>> columns;
+    std::size_t n_cells = 0;
+    for (std::size_t l = 1; l < lines.size(); ++l)
+        n_cells = std::max(n_cells, columns.emplace_back(split_csv_cells(lines[l])).size());
+    BeamTable read{lines[0].substr(2), ""};
+    for (std::size_t cell = 0; cell < n_cells; ++cell)
+        for (const auto& column : columns) {
+            read.csv += column[std::min(cell, column.size() - 1)];
+            read.csv += &column == &columns.back() ? '\n' : ',';
+        }
+    return read;
 }
 
-std::string parse_source_line_of_beam_table(const std::string& table_text) {
-    return table_text.substr(2, table_text.find('\n') - 2);
-}
-
-SensorModel make_built_in_beam_table_sensor(const BeamTableSensor& data_sheet_values, int columns_or_zero,
-                                            double rate_hz) {
-    const std::string table = get_beam_table_text(data_sheet_values.name);
+SensorModel make_built_in_beam_table_sensor(const BeamTableSensor& data_sheet, int columns, double rate_hz) {
+    const BeamTable table = find_beam_table(data_sheet.name);
     SpinningSensor sensor =
-        parse_beam_table(table, data_sheet_values.name,
-                         columns_or_zero ? columns_or_zero : data_sheet_values.columns, rate_hz);
-    sensor.name = data_sheet_values.name;
+        parse_beam_table(table.csv, data_sheet.name, columns ? columns : data_sheet.columns, rate_hz);
+    sensor.name = data_sheet.name;
     // exactly backward
     if (sensor.name.starts_with("OS")) sensor.first_azimuth_rad = kPi;
-    sensor.min_range_m = data_sheet_values.min_range_m;
-    sensor.max_range_m = data_sheet_values.max_range_m;
-    sensor.divergence_rad = data_sheet_values.divergence_rad;
-    return make_sensor_model(std::move(sensor), parse_source_line_of_beam_table(table));
+    sensor.min_range_m = data_sheet.min_range_m;
+    sensor.max_range_m = data_sheet.max_range_m;
+    sensor.divergence_rad = data_sheet.divergence_rad;
+    return make_sensor_model(std::move(sensor), table.source);
 }
 
 /// Mirrors scan 120 degrees from left to right in 0.1 s. Azimuth offsets of beams are
@@ -150,14 +160,11 @@ SensorModel make_built_in_beam_table_sensor(const BeamTableSensor& data_sheet_va
 SensorModel make_at128_sensor() {
     constexpr int kColumns = 1200;
     constexpr double period_s = 0.1, step_deg = 0.1;
-    const std::string table = get_beam_table_text("AT128");
-    const std::vector<Beam> beams = parse_beam_table(table, "AT128", kColumns, 1.0 / period_s).beams;
-    RayTable rays{.rows = int(beams.size()),
-                  .columns = kColumns,
-                  .origin = {},
-                  .direction = {},
-                  .time_offset_s = {},
-                  .channel = {}};
+    const BeamTable table = find_beam_table("AT128");
+    const std::vector<Beam> beams = parse_beam_table(table.csv, "AT128", kColumns, 1.0 / period_s).beams;
+    RayTable rays;
+    rays.rows = int(beams.size());
+    rays.columns = kColumns;
     for (std::size_t row = 0; row < beams.size(); ++row)
         for (int column = 0; column < kColumns; ++column) {
             const double left_of_middle = 0.5 * (kColumns - 1) - column;
@@ -167,7 +174,7 @@ SensorModel make_at128_sensor() {
             rays.time_offset_s.push_back(float(-left_of_middle / kColumns * period_s));
             rays.channel.push_back(std::uint16_t(row));
         }
-    return {"AT128", parse_source_line_of_beam_table(table), {0.5, 200.0}, std::move(rays)};
+    return {"AT128", table.source, {0.5, 200.0}, std::move(rays)};
 }
 
 /// data sheet of the AT128
@@ -176,13 +183,8 @@ SensorModel make_scanning_window_sensor_of_128_rows() {
             "hybrid solid-state LiDAR similar to the AT128: mirrors scan 120 x 25.4 degrees, 1200 columns of "
             "128 rows",
             {0.5, 200.0},
-            WindowScanSensor{.name = "window-128",
-                             .rows = 128,
-                             .columns = 1200,
-                             .left_rad = 59.95 * kDegree,
-                             .right_rad = -59.95 * kDegree,
-                             .top_rad = 12.9 * kDegree,
-                             .bottom_rad = -12.5 * kDegree}};
+            WindowScanSensor{"window-128", 128, 1200, 59.95 * kDegree, -59.95 * kDegree, 12.9 * kDegree,
+                             -12.5 * kDegree}};
 }
 
 /// Data sheet of the Mid-40. The rotation rates of the prisms were measured on a Mid-40.
@@ -191,28 +193,22 @@ SensorModel make_rosette_sensor() {
             "non-repetitive LiDAR similar to the Mid-40: two prisms, a cone of 38.4 degrees, 100 000 rays "
             "per second",
             {1.0, 260.0},
-            RosetteSensor{.name = "rosette",
-                          .deflection_rad = 9.6 * kDegree,
-                          .first_hz = 7294.0 / 60.0,
-                          .second_hz = -4664.0 / 60.0,
-                          .n_rays = 10'000}};
+            RosetteSensor{"rosette", 9.6 * kDegree, 7294.0 / 60.0, -4664.0 / 60.0, 10'000}};
 }
 
 }  // namespace
 
 std::vector<BeamFiring> get_beam_firings(const std::string& sensor_name) {
+    const std::vector<std::string> lines = split_lines(find_beam_table(sensor_name).csv);
+    const std::vector<std::string_view> header = split_csv_cells(lines[0]);
     std::vector<BeamFiring> firings;
-    std::vector<std::string_view> header;
-    const std::vector<std::string> lines = split_lines(get_beam_table_text(sensor_name));
-    for (const std::string& line : lines) {
-        if (line.starts_with('#')) continue;
-        const std::vector<std::string_view> cells = split_csv_cells(line);
+    for (std::size_t l = 1; l < lines.size(); ++l) {
+        const std::vector<std::string_view> cells = split_csv_cells(lines[l]);
         const auto number = [&](std::string_view column) {
             const auto at = std::size_t(std::ranges::find(header, column) - header.begin());
             return at < header.size() ? parse_number(cells.at(at)).value_or(0.0) : 0.0;
         };
-        if (header.empty()) header = cells;
-        else firings.push_back({int(number("channel")), number("firing_offset_us")});
+        firings.push_back({int(number("channel")), number("firing_offset_us")});
     }
     return firings;
 }
@@ -234,10 +230,9 @@ std::optional<SensorModel> find_built_in_sensor(const std::string& name, int col
     if (!sensor_name) return {};
     const double rate = rate_hz > 0.0 ? rate_hz : 10.0;
     const bool spins = *sensor_name != "AT128" && *sensor_name != "window-128" && *sensor_name != "rosette";
-    if (!spins && (columns > 0 || rate_hz > 0.0)) {
+    if (!spins && (columns > 0 || rate_hz > 0.0))
         fail<UsageError>(
             "sensor '{}': found columns and a rate, but this sensor does not spin; use only its name", name);
-    }
     if (*sensor_name == "kitti360") return make_kitti360_sensor(columns, rate);
     if (*sensor_name == "HDL-64E") return make_hdl64e_sensor(columns, rate);
     if (*sensor_name == "waymo-side") return make_waymo_side_sensor(columns, rate);

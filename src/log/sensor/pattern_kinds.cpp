@@ -152,8 +152,8 @@ double compute_evenly_spaced_value(double first_value, double last_value, int in
 void append_ray_from_sensor_origin(RayTable& rays, const glm::dvec3& direction, double time_s, int channel) {
     rays.origin.emplace_back(0.0f);
     rays.direction.emplace_back(direction);
-    rays.time_offset_s.push_back(static_cast<float>(time_s));
-    rays.channel.push_back(static_cast<std::uint16_t>(channel));
+    rays.time_offset_s.push_back(float(time_s));
+    rays.channel.push_back(std::uint16_t(channel));
 }
 
 void require_allowed_ray_count(const std::string& sensor_name, double n_rays) {

@@ -39,31 +39,30 @@ std::optional<int> project_to_pixel_index(const RangeImageGrid& grid, const glm:
     const double row = std::round((grid.fov_up_rad - elevation) / grid.fov_rad * grid.rows);  // Eq. 7
     if (!(row >= 0.0) || row >= grid.rows) return std::nullopt;
     const long column = std::lround((1.0 - azimuth / kPi) / 2.0 * grid.columns) % grid.columns;
-    return static_cast<int>(row) * grid.columns + static_cast<int>(column);
+    return int(row) * grid.columns + int(column);
 }
 
 ProjectedRangeImage project_points(const RangeImageGrid& grid, const std::vector<glm::vec3>& points_m,
                                    const std::vector<float>& intensity) {
-    if (points_m.size() != intensity.size()) {
+    if (points_m.size() != intensity.size())
         fail<UsageError>("project_points: intensity has {} entries, expected {} like points_m",
                          intensity.size(), points_m.size());
-    }
     ProjectedRangeImage image;
     image.rows = grid.rows;
     image.columns = grid.columns;
-    const std::size_t n = static_cast<std::size_t>(grid.rows) * static_cast<std::size_t>(grid.columns);
+    const std::size_t n = std::size_t(grid.rows) * std::size_t(grid.columns);
     image.range_m.assign(n, 0.0f);
     image.intensity.assign(n, 0.0f);
     image.source.assign(n, -1);
     for (std::size_t i = 0; i < points_m.size(); ++i) {
         const std::optional<int> pixel = project_to_pixel_index(grid, glm::dvec3(points_m[i]));
         if (!pixel) continue;
-        const std::size_t at = static_cast<std::size_t>(*pixel);
+        const std::size_t at = std::size_t(*pixel);
         const float range = glm::length(points_m[i]);
         if (image.source[at] >= 0 && image.range_m[at] <= range) continue;
         image.range_m[at] = range;
         image.intensity[at] = intensity[i];
-        image.source[at] = static_cast<int>(i);
+        image.source[at] = int(i);
     }
     return image;
 }

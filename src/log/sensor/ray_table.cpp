@@ -63,7 +63,7 @@ bool is_full_turn(int rows, int columns, std::span<const glm::vec3> directions) 
 RayTable select_rays(const RayTable& rays, const std::vector<std::size_t>& ray_indices) {
     RayTable some;
     some.rows = 1;
-    some.columns = static_cast<int>(ray_indices.size());
+    some.columns = int(ray_indices.size());
     for (const std::size_t ray : ray_indices) some.append_ray(rays, ray);
     return some;
 }

@@ -24,12 +24,12 @@ RayTable make_empty_ray_table(int rows, int columns, double divergence_rad) {
     RayTable rays;
     rays.rows = rows;
     rays.columns = columns;
-    const std::size_t n = static_cast<std::size_t>(rows) * static_cast<std::size_t>(columns);
+    const std::size_t n = std::size_t(rows) * std::size_t(columns);
     rays.origin.resize(n);
     rays.direction.resize(n);
     rays.time_offset_s.resize(n);
     rays.channel.resize(n);
-    rays.divergence_rad = static_cast<float>(divergence_rad);
+    rays.divergence_rad = float(divergence_rad);
     return rays;
 }
 
@@ -42,22 +42,18 @@ void require_valid_spinning_sensor(const SpinningSensor& sensor) {
         refuse(fmt::format("{} beams, expected at most 65535", sensor.beams.size()));
     if (sensor.columns <= 0)
         refuse(fmt::format("{} columns per sweep, expected at least one", sensor.columns));
-    if (sensor.beams.size() * static_cast<std::size_t>(sensor.columns) > kMaxRays) {
+    if (sensor.beams.size() * std::size_t(sensor.columns) > kMaxRays)
         refuse(fmt::format("{} beams and {} columns, which are {} rays per sweep; expected at most {} rays",
                            sensor.beams.size(), sensor.columns,
-                           sensor.beams.size() * static_cast<std::size_t>(sensor.columns), kMaxRays));
-    }
-    if (!(sensor.min_range_m >= 0.0 && sensor.max_range_m > sensor.min_range_m)) {
+                           sensor.beams.size() * std::size_t(sensor.columns), kMaxRays));
+    if (!(sensor.min_range_m >= 0.0 && sensor.max_range_m > sensor.min_range_m))
         refuse(fmt::format("range limits of {} to {} m, expected 0 <= min_range_m < max_range_m",
                            sensor.min_range_m, sensor.max_range_m));
-    }
-    if (!(sensor.period_s > 0.0) || !std::isfinite(sensor.period_s)) {
+    if (!(sensor.period_s > 0.0) || !std::isfinite(sensor.period_s))
         refuse(fmt::format("a period of {} s, expected a positive number", sensor.period_s));
-    }
-    if (!std::isfinite(sensor.first_azimuth_rad) || !std::isfinite(sensor.divergence_rad)) {
+    if (!std::isfinite(sensor.first_azimuth_rad) || !std::isfinite(sensor.divergence_rad))
         refuse(fmt::format("first_azimuth_rad = {} and divergence_rad = {}, expected finite numbers",
                            sensor.first_azimuth_rad, sensor.divergence_rad));
-    }
     for (std::size_t b = 0; b < sensor.beams.size(); ++b) {
         const Beam& beam = sensor.beams[b];
         const double sum = beam.elevation_rad + beam.azimuth_offset_rad + beam.origin_offset_m +
@@ -91,16 +87,16 @@ double compute_head_azimuth_facing_point_rad(const Beam& beam, const glm::dvec3&
 }
 
 int compute_beam_azimuth_offset_columns(const Beam& beam, int n_columns) {
-    return static_cast<int>(std::lround(beam.azimuth_offset_rad / (2.0 * kPi) * n_columns));
+    return int(std::lround(beam.azimuth_offset_rad / (2.0 * kPi) * n_columns));
 }
 
 RayTable make_rays(const SpinningSensor& sensor) {
     require_valid_spinning_sensor(sensor);
-    const int rows = static_cast<int>(sensor.beams.size()), columns = sensor.columns;
+    const int rows = int(sensor.beams.size()), columns = sensor.columns;
     RayTable rays = make_empty_ray_table(rows, columns, sensor.divergence_rad);
     const double seconds_per_rad = (sensor.clockwise ? -1.0 : 1.0) * sensor.period_s / (2.0 * kPi);
     parallel_for(rows, [&](int row) {
-        const Beam& beam = sensor.beams[static_cast<std::size_t>(row)];
+        const Beam& beam = sensor.beams[std::size_t(row)];
         const BeamRayGenerator geometry(beam);
         const int shift = compute_beam_azimuth_offset_columns(beam, columns);
         std::size_t at = std::size_t(row) * std::size_t(columns);
@@ -113,8 +109,8 @@ RayTable make_rays(const SpinningSensor& sensor) {
             const BeamRay ray = geometry.compute_ray(head);
             rays.origin[at] = glm::vec3(ray.origin_m);
             rays.direction[at] = glm::vec3(ray.direction);
-            rays.time_offset_s[at] = static_cast<float>(head * seconds_per_rad);
-            rays.channel[at] = static_cast<std::uint16_t>(row);
+            rays.time_offset_s[at] = float(head * seconds_per_rad);
+            rays.channel[at] = std::uint16_t(row);
         }
     });
     return rays;

@@ -46,7 +46,7 @@ SensorSpecifier parse_sensor_name_columns_and_rate(const std::string& specifier_
             "{} Hz",
             specifier_text, *columns, *rate_hz, kMaxColumns, kMaxRate_hz);
     }
-    return {specifier_text.substr(0, colon), static_cast<int>(*columns), *rate_hz};
+    return {specifier_text.substr(0, colon), int(*columns), *rate_hz};
 }
 
 SensorModel parse_beam_table_sensor(const std::string& csv_text, const SensorSpecifier& sensor_specifier) {

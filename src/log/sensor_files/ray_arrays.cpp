@@ -32,10 +32,9 @@ void require_values_in_range(const std::vector<double>& values, double min_value
                              const char* description, const std::string& error_location) {
     const auto bad = std::find_if(values.begin(), values.end(),
                                   [&](double value) { return !(value >= min_value && value <= max_value); });
-    if (bad != values.end()) {
+    if (bad != values.end())
         fail("{0}: entry {2} of {1} is {3}, expected a number in [{4}, {5}]", error_location, description,
              bad - values.begin(), *bad, min_value, max_value);
-    }
 }
 
 glm::dvec3 get_xyz_or_zero_if_empty(const std::vector<double>& values, std::size_t index) {
@@ -91,7 +90,7 @@ SensorModel make_sensor_from_ray_arrays(const RayFileArrays& ray_arrays, const s
     const std::vector<double>& divergence_rad = ray_arrays.divergence_rad;
     if (std::ranges::adjacent_find(divergence_rad, std::not_equal_to<>()) != divergence_rad.end())
         rays.ray_divergence_rad.assign(divergence_rad.begin(), divergence_rad.end());
-    else if (!divergence_rad.empty()) rays.divergence_rad = static_cast<float>(divergence_rad[0]);
+    else if (!divergence_rad.empty()) rays.divergence_rad = float(divergence_rad[0]);
     for (std::size_t i = 0; i < n; ++i) {
         const glm::dvec3 direction = get_xyz_or_zero_if_empty(ray_arrays.direction, i);
         const double length = glm::length(direction);
@@ -101,11 +100,9 @@ SensorModel make_sensor_from_ray_arrays(const RayFileArrays& ray_arrays, const s
                               glm::dvec3(glm::vec3(direction)) == direction;
         rays.direction.emplace_back(is_exact ? direction : direction / length);
         rays.origin.emplace_back(get_xyz_or_zero_if_empty(ray_arrays.origin, i));
-        rays.time_offset_s.push_back(ray_arrays.time_s.empty() ? 0.0f
-                                                               : static_cast<float>(ray_arrays.time_s[i]));
-        rays.channel.push_back(ray_arrays.channel.empty()
-                                   ? std::uint16_t(0)
-                                   : static_cast<std::uint16_t>(ray_arrays.channel[i]));
+        rays.time_offset_s.push_back(ray_arrays.time_s.empty() ? 0.0f : float(ray_arrays.time_s[i]));
+        rays.channel.push_back(ray_arrays.channel.empty() ? std::uint16_t(0)
+                                                          : std::uint16_t(ray_arrays.channel[i]));
     }
     return {sensor_name, "", ray_arrays.limits, std::move(rays)};
 }
@@ -135,8 +132,8 @@ SensorModel read_ray_npz(const std::string& path, const std::string& sensor_name
                     .origin = values("origin"),
                     .time_s = values("time"),
                     .channel = values("ring")};
-    c.rows = shape.size() == 3 ? static_cast<int>(shape[0]) : 1;
-    c.columns = static_cast<int>(shape[shape.size() - 2]);
+    c.rows = shape.size() == 3 ? int(shape[0]) : 1;
+    c.columns = int(shape[shape.size() - 2]);
     c.divergence_rad =
         select_per_ray_or_common_divergence(values("divergence"), one("divergence_mrad"), path);
     c.limits = {one("min_range_m").value_or(c.limits.min_m), one("max_range_m").value_or(c.limits.max_m)};

@@ -47,7 +47,7 @@ RayCsvRow parse_ray_line(const std::string& line, const std::vector<int>& column
     value[kMaxRange] = RayFileArrays{}.limits.max_m;
     for (std::size_t f = 0; f < kFieldCount; ++f) {
         if (column_of_field[f] < 0) continue;
-        const std::string_view cell = cells[static_cast<std::size_t>(column_of_field[f])];
+        const std::string_view cell = cells[std::size_t(column_of_field[f])];
         const auto number = parse_number(cell);
         if (!number || !std::isfinite(*number))
             fail("{}: {} is '{}', expected a number", error_location, kNames[f],
@@ -95,7 +95,7 @@ SensorModel parse_ray_csv(const std::string& csv_text, const std::string& sensor
         }
         append_ray_row(rays, v);
     }
-    rays.columns = static_cast<int>(std::min(rays.time_s.size(), kMaxRays + 1));
+    rays.columns = int(std::min(rays.time_s.size(), kMaxRays + 1));
     rays.limits = {first[kMinRange], first[kMaxRange]};
     return make_sensor_from_ray_arrays(rays, sensor_name, error_location);
 }

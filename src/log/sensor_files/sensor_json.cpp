@@ -58,7 +58,7 @@ std::pair<int, double> parse_ouster_columns_and_rate(const Json& metadata,
     if (!columns || !rate || !(*columns >= 1 && *columns <= 65536) || !(*rate > 0.0 && *rate <= 1000.0))
         fail("{}: lidar_mode is \"{}\", expected columns and rate, for example \"1024x10\"", error_location,
              shorten_for_error_message(text));
-    return {static_cast<int>(*columns), *rate};
+    return {int(*columns), *rate};
 }
 
 SensorModel parse_ouster_sensor(const Json& metadata, const std::string& name,
@@ -71,12 +71,11 @@ SensorModel parse_ouster_sensor(const Json& metadata, const std::string& name,
                        : std::vector<double>{};
     };
     const std::vector<double> altitude = list("beam_altitude_angles"), azimuth = list("beam_azimuth_angles");
-    if (altitude.empty() || altitude.size() > kMostBeams || azimuth.size() != altitude.size()) {
+    if (altitude.empty() || altitude.size() > kMostBeams || azimuth.size() != altitude.size())
         fail(
             "{}: found {} beam_altitude_angles and {} beam_azimuth_angles, expected the same number of both "
             "and at most {}",
             error_location, altitude.size(), azimuth.size(), kMostBeams);
-    }
     const Json* offset_mm = find_json_value(metadata, "lidar_origin_to_beam_origin_mm", {"beam_intrinsics"});
     if (offset_mm && (!offset_mm->is_number() || !std::isfinite(offset_mm->get<double>())))
         fail("{}: lidar_origin_to_beam_origin_mm: the value is not a number, expected a finite number",

@@ -33,9 +33,8 @@ TEST(KnownSensors, EveryNameMakesRaysHighestBeamFirst) {
         EXPECT_EQ(rays.size(), std::size_t(rays.rows) * std::size_t(rays.columns)) << name;
         for (const glm::vec3& d : rays.direction) ASSERT_NEAR(glm::length(d), 1.0f, 1e-6f) << name;
         const auto* sensor = std::get_if<SpinningSensor>(&model.pattern);
-        for (std::size_t b = 1; sensor && b < sensor->beams.size(); ++b) {
+        for (std::size_t b = 1; sensor && b < sensor->beams.size(); ++b)
             EXPECT_LT(sensor->beams[b].elevation_rad, sensor->beams[b - 1].elevation_rad) << name << " " << b;
-        }
     }
     EXPECT_NEAR(spinning("VLP-16").beams[15].elevation_rad, -15 * kPi / 180, 1e-12);
     EXPECT_EQ(make_rays(find_sensor("kitti360")).direction, make_rays(make_kitti360_grid()).direction);

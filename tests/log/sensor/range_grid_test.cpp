@@ -23,7 +23,7 @@ TEST(RangeGrid, EveryPixelRayProjectsToItsOwnPixel) {
     for (std::size_t i = 0; i < rays.size(); ++i) {
         const auto pixel = project_to_pixel_index(grid, 17.0 * glm::dvec3(rays.direction[i]));
         ASSERT_TRUE(pixel) << i;
-        ASSERT_EQ(*pixel, static_cast<int>(i));
+        ASSERT_EQ(*pixel, int(i));
     }
 }
 
@@ -47,7 +47,7 @@ TEST(RangeGrid, NearestPointWinsAPixel) {
     const RangeImageGrid grid = make_kitti360_grid();
     const ProjectedRangeImage image =
         project_points(grid, {{20, 0, 0}, {10, 0, 0}, {15, 0, 0}, {0, 0, 5}}, {0.1f, 0.2f, 0.3f, 0.4f});
-    const auto at = static_cast<std::size_t>(*project_to_pixel_index(grid, {10, 0, 0}));
+    const auto at = std::size_t(*project_to_pixel_index(grid, {10, 0, 0}));
     EXPECT_EQ(image.source[at], 1);
     EXPECT_FLOAT_EQ(image.range_m[at], 10.0f);
     EXPECT_FLOAT_EQ(image.intensity[at], 0.2f);

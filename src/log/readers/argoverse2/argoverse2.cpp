@@ -3,7 +3,7 @@
 // dataset has moved all points to the vehicle frame at the time in the file name (motion
 // compensation). The reader undoes this with the poses of the frames. relidar computes
 // world points with the same poses, so the points keep their positions in the world.
-#include "log/readers/argoverse2/argoverse2.hpp"
+#include "log/readers/readers.hpp"
 
 #include <algorithm>
 #include <charconv>

@@ -5,7 +5,7 @@
 //   C = C_1(roll) C_2(pitch) C_3(yaw) = R_x(-roll) R_y(-pitch) R_z(-yaw),
 // and not the usual R_z(yaw) R_y(pitch) R_x(roll). The reader checks this convention:
 // with the right convention, the vehicle drives forward and along the road.
-#include "log/readers/boreas/boreas.hpp"
+#include "log/readers/readers.hpp"
 
 #include <cmath>
 

@@ -120,7 +120,7 @@ PoseRows parse_pose_rows(const std::vector<std::string>& lines, const std::strin
         if (at.empty() && !rows.rows.empty()) expected_count_or_zero = rows.rows[0].size();
         std::vector<double> row = parse_pose_row(lines[i], expected_count_or_zero, where);
         if (const std::vector<double> read = row; !at.empty())
-            for (std::size_t c = 0; c < row.size(); ++c) row[c] = read[static_cast<std::size_t>(at[c])];
+            for (std::size_t c = 0; c < row.size(); ++c) row[c] = read[std::size_t(at[c])];
         if (!rows.rows.empty() && !(row[0] > rows.rows.back()[0]))
             fail("{}: found the time {} s after {} s, expected increasing times", where, row[0],
                  rows.rows.back()[0]);

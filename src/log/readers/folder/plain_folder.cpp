@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "log/readers/folder/plain_folder.hpp"
+#include "log/readers/readers.hpp"
 
 #include <algorithm>
 
@@ -27,9 +27,7 @@ std::vector<SequenceHeaderFrame> select_requested_frames(const folder::SequenceH
     std::vector<SequenceHeaderFrame> frames;
     std::size_t n_missing = 0;
     for (const SequenceHeaderFrame& frame : sequence_header.frames) {
-        if (frame.number < options.frames.begin ||
-            (options.frames.end >= 0 && frame.number >= options.frames.end))
-            continue;
+        if (!options.frames.contains(frame.number)) continue;
         const bool there = does_path_exist(frame.scan);
         if (!there && !options.allow_missing_scans)
             fail("{}: no such file, expected the scan of frame {}", frame.scan.string(), frame.number);

@@ -57,12 +57,11 @@ std::complex<double> compute_mean_encoder_tick_phase(const BeamPolarPoints& beam
                                                      std::size_t point_stride) {
     std::complex<double> sum = 0.0;
     std::size_t n = 0;
-    for (std::size_t i = 0; i < beam_points.azimuth_rad.size(); i += point_stride, ++n) {
+    for (std::size_t i = 0; i < beam_points.azimuth_rad.size(); i += point_stride, ++n)
         sum += std::polar(
             1.0, 2.0 * kPi * (beam_points.azimuth_rad[i] - lateral_offset_m * beam_points.inverse_rho[i]) /
                      encoder_tick_rad);
-    }
-    return n > 0 ? sum / static_cast<double>(n) : sum;
+    return n > 0 ? sum / double(n) : sum;
 }
 
 /// Model of a beam: azimuth = tick + phase_rad + left_m / distance from the spin axis.
@@ -123,14 +122,13 @@ TickGridPhasesByRing fit_encoder_tick_phase_of_each_ring(
     const std::array<BeamPolarPoints, kRings>& polar_rings, double encoder_tick_rad) {
     TickGridPhasesByRing phases;
     parallel_for(kRings, [&](int k) {
-        const std::size_t at = static_cast<std::size_t>(k);
+        const std::size_t at = std::size_t(k);
         phases.ring[at] = fit_azimuth_phase_of_beam(polar_rings[at], encoder_tick_rad);
     });
     double n = 0;
     for (std::size_t k = 0; k < kRings; ++k) {
-        n += static_cast<double>(polar_rings[k].azimuth_rad.size());
-        phases.concentration +=
-            phases.ring[k].concentration * static_cast<double>(polar_rings[k].azimuth_rad.size());
+        n += double(polar_rings[k].azimuth_rad.size());
+        phases.concentration += phases.ring[k].concentration * double(polar_rings[k].azimuth_rad.size());
     }
     phases.concentration /= std::max(n, 1.0);
     return phases;
@@ -156,7 +154,7 @@ int estimate_firings_per_revolution(const std::vector<const ScanWithRings*>& sca
             n += 1.0;
         }
     }
-    return std::max(static_cast<int>(std::lround(2.0 * kPi * n / sum)), 1);
+    return std::max(int(std::lround(2.0 * kPi * n / sum)), 1);
 }
 
 using EncoderTicksByBeam = std::vector<std::vector<int>>;
@@ -183,13 +181,12 @@ std::vector<std::vector<char>> flag_ticks_with_returns_of_enough_beams(
     int n_ticks, int min_beams) {
     std::vector<std::vector<char>> pattern;
     for (const EncoderTicksByBeam& scan : ticks_of_scans) {
-        std::vector<int> count(static_cast<std::size_t>(n_ticks));
+        std::vector<int> count(std::size_t(n_ticks));
         for (std::size_t k = 0; k < kRings; ++k) {
             for (const int t : scan[k])
-                ++count[static_cast<std::size_t>(((t - tick_shift_of_each_beam[k]) % n_ticks + n_ticks) %
-                                                 n_ticks)];
+                ++count[std::size_t(((t - tick_shift_of_each_beam[k]) % n_ticks + n_ticks) % n_ticks)];
         }
-        std::vector<char>& yes = pattern.emplace_back(static_cast<std::size_t>(n_ticks));
+        std::vector<char>& yes = pattern.emplace_back(std::size_t(n_ticks));
         for (std::size_t t = 0; t < count.size(); ++t) yes[t] = count[t] >= min_beams;
     }
     return pattern;
@@ -217,7 +214,7 @@ int find_encoder_tick_offset_of_ring(const std::vector<EncoderTicksByBeam>& tick
         for (std::size_t s = 0; s < ticks_of_scans.size(); ++s) {
             for (const int t : ticks_of_scans[s][ring]) {
                 const int moved = wrap_encoder_tick(t - shift, n_ticks);
-                hits += static_cast<std::size_t>(is_tick_fired[s][static_cast<std::size_t>(moved)]);
+                hits += std::size_t(is_tick_fired[s][std::size_t(moved)]);
             }
         }
         if (i == 0) at_zero = hits;
@@ -231,7 +228,7 @@ int find_encoder_tick_offset_of_ring(const std::vector<EncoderTicksByBeam>& tick
 
 std::vector<int> find_tick_shift_of_each_ring(const std::vector<EncoderTicksByBeam>& ticks_of_scans,
                                               int n_ticks) {
-    const int reach = std::min(static_cast<int>(kMaxOffset_rad / (2.0 * kPi) * n_ticks), n_ticks / 2 - 1);
+    const int reach = std::min(int(kMaxOffset_rad / (2.0 * kPi) * n_ticks), n_ticks / 2 - 1);
     std::size_t fullest = 0;
     for (std::size_t k = 1; k < kRings; ++k) {
         if (ticks_of_scans[0][k].size() > ticks_of_scans[0][fullest].size()) fullest = k;
@@ -248,8 +245,8 @@ std::vector<int> find_tick_shift_of_each_ring(const std::vector<EncoderTicksByBe
     // ticks that have returns of kMinLasers beams.
     for (int pass = 0; pass < 2; ++pass) {
         parallel_for(kRings, [&](int k) {
-            shift[static_cast<std::size_t>(k)] = find_encoder_tick_offset_of_ring(
-                ticks_of_scans, static_cast<std::size_t>(k), pattern, n_ticks, reach);
+            shift[std::size_t(k)] =
+                find_encoder_tick_offset_of_ring(ticks_of_scans, std::size_t(k), pattern, n_ticks, reach);
         });
         pattern = flag_ticks_with_returns_of_enough_beams(ticks_of_scans, shift, n_ticks, kMinLasers);
     }
@@ -307,7 +304,7 @@ std::vector<int> find_fired_encoder_ticks(const ScanWithRings& scan, const BeamF
         firing_grid.head.n_ticks, kMinLasers);
     std::vector<int> firings;
     for (int t = 0; t < firing_grid.head.n_ticks; ++t) {
-        if (firing_grid.every_tick || pattern[0][static_cast<std::size_t>(t)]) firings.push_back(t);
+        if (firing_grid.every_tick || pattern[0][std::size_t(t)]) firings.push_back(t);
     }
     std::sort(firings.begin(), firings.end(), [&](int first, int second) {
         return firing_grid.head.compute_azimuth_of_encoder_tick_rad(first) >

@@ -45,7 +45,7 @@ BeamCone fit_line_to_inliers(const std::vector<RhoHeightSample>& samples, const 
     // is at least 36 m^2, the slope error is below 5e-5.
     if (n < 16 || spread < 36.0 * n) return {};
     const double slope = (n * srz - sr * sz) / spread;
-    return {(sz - slope * sr) / n, slope, static_cast<std::size_t>(n)};
+    return {(sz - slope * sr) / n, slope, std::size_t(n)};
 }
 
 BeamCone fit_beam_cone_robustly(const std::vector<RhoHeightSample>& samples) {
@@ -75,8 +75,8 @@ LaserHeightFit fit_beam_height_to_tan_elevation(const BeamCones& cones,
     LaserHeightFit line;
     double tt = 0.0, tz = 0.0;
     for (const std::size_t k : fitted_rings) {
-        line.mean_tan += cones[k].tan_el / static_cast<double>(fitted_rings.size());
-        line.mean_z0 += cones[k].z0_m / static_cast<double>(fitted_rings.size());
+        line.mean_tan += cones[k].tan_el / double(fitted_rings.size());
+        line.mean_z0 += cones[k].z0_m / double(fitted_rings.size());
     }
     for (const std::size_t k : fitted_rings) {
         const double t = cones[k].tan_el - line.mean_tan;
@@ -111,18 +111,16 @@ void estimate_missing_beam_cones(BeamCones& cones,
         for (std::size_t k = first; k < first + kRings / 2; ++k) {
             if (cones[k].n > 0) good.push_back(k);
         }
-        if (good.size() < 2) {
+        if (good.size() < 2)
             throw DataError(error_location +
                             ": fewer than two beams of a block of 32 beams have enough returns, expected a "
                             "log of an HDL-64E");
-        }
         const LaserHeightFit line = fit_beam_height_to_tan_elevation(cones, good);
         for (std::size_t k = first; k < first + kRings / 2; ++k) {
             if (cones[k].n > 0) continue;
             const auto next = std::lower_bound(good.begin() + 1, good.end() - 1, k);
             const std::size_t a = next[-1], b = *next;
-            const double along =
-                (static_cast<double>(k) - static_cast<double>(a)) / static_cast<double>(b - a);
+            const double along = (double(k) - double(a)) / double(b - a);
             cones[k].tan_el = cones[a].tan_el + (cones[b].tan_el - cones[a].tan_el) * along;
             if (samples_of_rings[k].size() >= 16)
                 cones[k].tan_el =
@@ -142,8 +140,8 @@ int find_nearest_ring_of_points(const ScanWithRings& scan, std::size_t begin_poi
         std::vector<double> error;
         for (std::size_t i = begin_point; i < end_point; i += step) {
             const glm::dvec4 p(scan.points[i]);
-            error.push_back(std::abs(
-                compute_height_residual_m(cones[static_cast<std::size_t>(k)], {std::hypot(p.x, p.y), p.z})));
+            error.push_back(
+                std::abs(compute_height_residual_m(cones[std::size_t(k)], {std::hypot(p.x, p.y), p.z})));
         }
         if (const double middle = compute_median(std::move(error)); middle < least) {
             least = middle;
@@ -165,7 +163,7 @@ ScanWithRings split_points_into_rings(std::vector<glm::vec4> points) {
         const glm::vec4& p = scan.points[i];
         if (fourth && p.x > 0.0f && p.y >= 0.0f) ++ring;
         fourth = p.x >= 0.0f && p.y < 0.0f;
-        scan.ring[i] = static_cast<std::uint8_t>(std::min(ring, kRings - 1));
+        scan.ring[i] = std::uint8_t(std::min(ring, kRings - 1));
     }
     scan.n_rings = ring + 1;
     return scan;
@@ -184,12 +182,11 @@ BeamCones fit_cone_of_each_ring(const std::vector<const ScanWithRings*>& scans,
             samples[scan->ring[i]].push_back({std::hypot(p.x, p.y), p.z});
         }
     }
-    if (samples[0].empty()) {
+    if (samples[0].empty())
         fail(
             "{}: found {} rings in the order of the file, expected 64 rings of an HDL-64E, stored one after "
             "another",
             error_location, most);
-    }
     BeamCones cones;
     for (std::size_t k = 0; k < kRings; ++k) cones[k] = fit_beam_cone_robustly(samples[k]);
     estimate_missing_beam_cones(cones, samples, error_location);
@@ -202,7 +199,7 @@ void correct_ring_numbers(ScanWithRings& scan, const BeamCones& cones) {
         for (std::size_t begin = 0; begin < n;) {
             std::size_t end = begin + 1;
             while (end < n && scan.ring[end] == scan.ring[begin]) ++end;
-            const auto ring = static_cast<std::uint8_t>(find_nearest_ring_of_points(scan, begin, end, cones));
+            const auto ring = std::uint8_t(find_nearest_ring_of_points(scan, begin, end, cones));
             std::fill(scan.ring.begin() + static_cast<std::ptrdiff_t>(begin),
                       scan.ring.begin() + static_cast<std::ptrdiff_t>(end), ring);
             begin = end;

@@ -21,6 +21,7 @@
 #include "log/clouds/lidar_rt_benchmark.hpp"
 #include "log/clouds/log_files.hpp"
 #include "log/readers/kitti/kitti_sweeps.hpp"
+#include "log/readers/readers.hpp"
 
 namespace relidar {
 namespace {

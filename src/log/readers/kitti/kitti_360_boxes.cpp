@@ -45,7 +45,7 @@ int read_integer_field(const pugi::xml_node& object, const char* field_name, std
     if (!value || !(std::abs(*value) < kLargest) || *value != std::floor(*value))
         fail("{}: {} is '{}', expected a whole number", error_location, field_name,
              shorten_for_error_message(text));
-    return static_cast<int>(*value);
+    return int(*value);
 }
 
 /// Returns null for classes that cannot move. Drive 0004 has labels instead of class

@@ -3,7 +3,7 @@
 // transform cam_T_velo (Tr in calib.txt) converts them to poses of the LiDAR:
 //   world_from_sensor(i) = inverse(Tr) * pose(i) * Tr
 // The world frame is the frame of the LiDAR in frame 0, with z up.
-#include "log/readers/kitti/kitti_odometry.hpp"
+#include "log/readers/readers.hpp"
 
 #include <fmt/format.h>
 
@@ -24,7 +24,7 @@ std::vector<double> read_frame_times_s(const fs::path& file, const std::vector<i
     const std::vector<std::string> lines = split_lines(read_text_file(file));
     std::vector<double> time_s;
     for (const int frame : frame_numbers) {
-        const std::size_t line = static_cast<std::size_t>(frame);
+        const std::size_t line = std::size_t(frame);
         if (line >= lines.size())
             fail("{}: found {} lines, but frame {} needs line {}", file.string(), lines.size(), frame,
                  line + 1);

@@ -48,9 +48,8 @@ std::vector<double> parse_finite_numbers(const std::string& line, std::size_t ex
     if (numbers->size() != expected_count)
         fail("{}: found {} numbers, expected {}", error_location, numbers->size(), expected_count);
     for (std::size_t i = 0; i < expected_count; ++i) {
-        if (!std::isfinite((*numbers)[i])) {
+        if (!std::isfinite((*numbers)[i]))
             fail("{}: number {} is {}, expected a finite value", error_location, i + 1, (*numbers)[i]);
-        }
     }
     return *numbers;
 }
@@ -69,10 +68,9 @@ fs::path make_oxts_file_path(const fs::path& drive_folder, int frame_number) {
 Pose read_imu_pose_from_oxts(const fs::path& oxts_file, std::optional<double>& mercator_scale) {
     const std::vector<std::string> lines = split_lines(read_text_file(oxts_file));
     const std::vector<double> v = parse_finite_numbers(lines.empty() ? "" : lines[0], 30, oxts_file.string());
-    if (std::abs(v[0]) > 89.0 || std::abs(v[1]) > 360.0) {
+    if (std::abs(v[0]) > 89.0 || std::abs(v[1]) > 360.0)
         fail("{}: found the latitude {} and the longitude {}, expected angles in degrees", oxts_file.string(),
              v[0], v[1]);
-    }
     constexpr double kEarthRadius_m = 6378137.0;
     const double lat = v[0] * kPi / 180.0, lon = v[1] * kPi / 180.0;
     if (!mercator_scale) mercator_scale = std::cos(lat);
@@ -125,12 +123,11 @@ Pose read_calibration_transform(const fs::path& file) {
         if (line.rfind("R:", 0) == 0) r = parse_finite_numbers(line.substr(2), 9, where + " key R");
         if (line.rfind("T:", 0) == 0) t = parse_finite_numbers(line.substr(2), 3, where + " key T");
     }
-    if (r.empty() || t.empty()) {
+    if (r.empty() || t.empty())
         fail(
             "{}: the line that begins with '{}:' is missing, expected a line 'R:' with 9 numbers and a line "
             "'T:' with 3 numbers",
             file.string(), r.empty() ? "R" : "T");
-    }
     return check_rotation_and_make_pose(glm::dmat3(r[0], r[3], r[6], r[1], r[4], r[7], r[2], r[5], r[8]),
                                         {t[0], t[1], t[2]}, file.string());
 }
@@ -164,13 +161,12 @@ std::vector<Pose> read_pose_matrices(const fs::path& pose_file, const std::vecto
     const std::vector<std::string> lines = split_lines(read_text_file(pose_file));
     std::vector<Pose> poses;
     for (const int frame : frame_numbers) {
-        const std::size_t line = static_cast<std::size_t>(frame);
-        if (line >= lines.size()) {
+        const std::size_t line = std::size_t(frame);
+        if (line >= lines.size())
             fail(
                 "{}: found {} lines, but frame {} needs line {}; expected one line with a pose for each "
                 "frame, starting with frame 0",
                 pose_file.string(), lines.size(), frame, line + 1);
-        }
         const std::string where = fmt::format("{} line {}", pose_file.string(), line + 1);
         poses.push_back(parse_pose_matrix(lines[line], where));
     }

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Reads KITTI raw drives. The scans are not motion-compensated, so the reader computes
 // the firing time of each ray.
-#include "log/readers/kitti/kitti_raw.hpp"
+#include "log/readers/readers.hpp"
 
 #include <fmt/format.h>
 

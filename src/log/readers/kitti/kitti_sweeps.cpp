@@ -201,8 +201,7 @@ void read_hdl64_sweeps(LidarSequence& sequence, const std::filesystem::path& sca
 
     const BeamCones cones =
         fit_cone_of_each_ring(select_evenly_spaced_scans(raw, kFitScans), scan_folder.string());
-    parallel_for(static_cast<int>(raw.size()),
-                 [&](int index) { correct_ring_numbers(raw[static_cast<std::size_t>(index)], cones); });
+    parallel_for(int(raw.size()), [&](int index) { correct_ring_numbers(raw[std::size_t(index)], cones); });
     const BeamFiringGrid lattice = fit_beam_firing_grid(select_evenly_spaced_scans(raw, kLatticeScans));
     require_plausible_ray_counts(raw, lattice, scan_folder.string());
 
@@ -220,8 +219,7 @@ void read_hdl64_sweeps(LidarSequence& sequence, const std::filesystem::path& sca
                                });
     SpinningSensor& sensor = sequence.lidars[0].sensor;
     sensor.beams = lattice.make_beams_with_fitted_elevations(cones);
-    for (const auto& sweep : firings)
-        sensor.columns = std::max(sensor.columns, static_cast<int>(sweep.size()));
+    for (const auto& sweep : firings) sensor.columns = std::max(sensor.columns, int(sweep.size()));
     sensor.first_azimuth_rad = kPi - kPi / sensor.columns;
     parallel_for_with_progress(
         raw.size(), progress, "assigning points to the fired rays", [&](std::size_t at) {

@@ -29,8 +29,8 @@ std::int64_t count_days_since_1970(int year, int month, int day) {
     const int y = year - 1;
     // before 1970
     const std::int64_t leap_days = y / 4 - y / 100 + y / 400 - 477;
-    return 365ll * (year - 1970) + leap_days + kBefore[static_cast<std::size_t>(month - 1)] +
-           (leap && month > 2) + day - 1;
+    return 365ll * (year - 1970) + leap_days + kBefore[std::size_t(month - 1)] + (leap && month > 2) + day -
+           1;
 }
 
 /// Parses "YYYY-MM-DD HH:MM:SS.nnnnnnnnn". 64 bits reach up to the year 2261.
@@ -38,10 +38,9 @@ std::int64_t parse_date_time_ns(const std::string& line, const std::string& erro
     int year = 0, month = 0, day = 0, hour = 0, minute = 0, used = 0;
     const int n =
         std::sscanf(line.c_str(), "%4d-%2d-%2d %2d:%2d:%n", &year, &month, &day, &hour, &minute, &used);
-    const auto second =
-        n == 5 && used > 0
-            ? parse_number(trim_blanks_at_both_ends(line.substr(static_cast<std::size_t>(used))))
-            : std::nullopt;
+    const auto second = n == 5 && used > 0
+                            ? parse_number(trim_blanks_at_both_ends(line.substr(std::size_t(used))))
+                            : std::nullopt;
     const bool sane = second && *second >= 0.0 && *second < 61.0 && year >= 1970 && year < 2200 &&
                       month >= 1 && month <= 12 && day >= 1 && day <= 31 && hour >= 0 && hour < 24 &&
                       minute >= 0 && minute < 60;
@@ -80,14 +79,14 @@ std::vector<double> read_relative_frame_times_s(const fs::path& time_file,
                   "after 1970; the files have no time zone, so their local times are read as UTC");
     std::vector<double> time_s;
     for (std::size_t i = 0; i < frame_numbers.size(); ++i) {
-        const std::size_t line = static_cast<std::size_t>(frame_numbers[i]);
+        const std::size_t line = std::size_t(frame_numbers[i]);
         if (line >= time_ns.size())
             fail("{}: found {} lines, but frame {} needs line {}", time_file.string(), time_ns.size(),
                  frame_numbers[i], line + 1);
         if (!time_ns[line])
             fail("{} line {}: the line is empty, expected the time of frame {}, because its scan exists",
                  time_file.string(), line + 1, frame_numbers[i]);
-        time_s.push_back(static_cast<double>(*time_ns[line] - first_ns) * 1e-9);
+        time_s.push_back(double(*time_ns[line] - first_ns) * 1e-9);
         if (i > 0 && !(time_s[i] > time_s[i - 1]))
             fail("{} line {}: the time is not later than the time of frame {}, expected increasing times",
                  time_file.string(), line + 1, frame_numbers[i - 1]);
@@ -100,9 +99,8 @@ namespace {
 /// Throws if the median is not a plausible period.
 double compute_sweep_period_s(std::vector<double> sweep_durations_s, const fs::path& file) {
     const double period_s = compute_median(std::move(sweep_durations_s));
-    if (!(period_s > 0.01 && period_s < 1.0)) {
+    if (!(period_s > 0.01 && period_s < 1.0))
         fail("{}: a sweep lasts {:.6g} s from start to end, expected 0.01 to 1 s", file.string(), period_s);
-    }
     return period_s;
 }
 
@@ -114,7 +112,7 @@ double read_median_sweep_duration_s(const fs::path& drive_folder) {
                end = read_timestamps_ns(file);
     std::vector<double> lasts_s;
     for (std::size_t i = 0; i < std::min(start.size(), end.size()); ++i) {
-        if (start[i] && end[i]) lasts_s.push_back(static_cast<double>(*end[i] - *start[i]) * 1e-9);
+        if (start[i] && end[i]) lasts_s.push_back(double(*end[i] - *start[i]) * 1e-9);
     }
     if (lasts_s.empty())
         fail(
@@ -128,8 +126,7 @@ double read_median_time_step_s(const fs::path& time_file) {
     const auto time_ns = read_timestamps_ns(time_file);
     std::vector<double> lasts_s;
     for (std::size_t i = 1; i < time_ns.size(); ++i) {
-        if (time_ns[i - 1] && time_ns[i])
-            lasts_s.push_back(static_cast<double>(*time_ns[i] - *time_ns[i - 1]) * 1e-9);
+        if (time_ns[i - 1] && time_ns[i]) lasts_s.push_back(double(*time_ns[i] - *time_ns[i - 1]) * 1e-9);
     }
     if (lasts_s.empty())
         fail(

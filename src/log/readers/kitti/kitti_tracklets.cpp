@@ -25,10 +25,9 @@ double read_number_field(const pugi::xml_node& node, const char* field_name,
                          const std::string& error_location) {
     const std::string text = node.child_value(field_name);
     const auto value = parse_number(trim_blanks_at_both_ends(text));
-    if (!value || !(std::abs(*value) <= kLargestOfLabel)) {
+    if (!value || !(std::abs(*value) <= kLargestOfLabel))
         fail("{}: {} is '{}', expected a finite number of at most {:.0e}", error_location, field_name,
              shorten_for_error_message(text), kLargestOfLabel);
-    }
     return *value;
 }
 
@@ -49,18 +48,17 @@ BoxTrack read_world_box_track_of_tracklet(const pugi::xml_node& tracklet_item,
     track.size_m = {read_number_field(tracklet_item, "l", error_location),
                     read_number_field(tracklet_item, "w", error_location),
                     read_number_field(tracklet_item, "h", error_location)};
-    if (!(std::min({track.size_m.x, track.size_m.y, track.size_m.z}) > 0.0)) {
+    if (!(std::min({track.size_m.x, track.size_m.y, track.size_m.z}) > 0.0))
         fail("{}: the size of a box is l {} w {} h {} m, expected three lengths above 0", error_location,
              track.size_m.x, track.size_m.y, track.size_m.z);
-    }
-    int frame = static_cast<int>(read_number_field(tracklet_item, "first_frame", error_location));
+    int frame = int(read_number_field(tracklet_item, "first_frame", error_location));
     for (const pugi::xml_node& pose : tracklet_item.child("poses").children("item")) {
         const auto matching_frame = std::lower_bound(frame_numbers.begin(), frame_numbers.end(), frame);
         const Pose in_sensor = read_box_pose_in_sensor_frame(
             pose, track.size_m.z, fmt::format("{} frame {}", error_location, frame));
         ++frame;
         if (matching_frame == frame_numbers.end() || *matching_frame != frame - 1) continue;
-        const std::size_t at = static_cast<std::size_t>(matching_frame - frame_numbers.begin());
+        const std::size_t at = std::size_t(matching_frame - frame_numbers.begin());
         track.world_from_box.time_s.push_back(world_from_sensor.time_s[at]);
         track.world_from_box.pose.push_back(world_from_sensor.pose[at] * in_sensor);
     }
@@ -79,10 +77,9 @@ std::vector<BoxTrack> read_tracklet_boxes(const std::filesystem::path& tracklet_
     if (!parsed)
         fail("{}: malformed XML at byte {}: {}", tracklet_file.string(), parsed.offset, parsed.description());
     const pugi::xml_node tracklets = document.child("boost_serialization").child("tracklets");
-    if (!tracklets) {
+    if (!tracklets)
         fail("{}: the element boost_serialization/tracklets is missing, expected KITTI tracklets",
              tracklet_file.string());
-    }
     std::vector<BoxTrack> tracks;
     int number = 0;
     for (const pugi::xml_node& item : tracklets.children("item")) {

@@ -3,7 +3,7 @@
 // returns are stored as zeros, so the index of a point gives its beam and its time. The
 // points are stored column by column or beam by beam; the reader detects the order. The x
 // axis of the LiDAR points backward, so the reader rotates its frame by 180 degrees.
-#include "log/readers/mulran/mulran.hpp"
+#include "log/readers/readers.hpp"
 
 #include <cmath>
 

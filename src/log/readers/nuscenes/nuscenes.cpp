@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Reads nuScenes and other datasets with the same tables. These datasets store points in
 // different formats. The extension of the point files shows the format.
-#include "log/readers/nuscenes/nuscenes.hpp"
+#include "log/readers/readers.hpp"
 
 #include <algorithm>
 #include <cmath>
@@ -291,8 +291,7 @@ private:
             std::ranges::any_of(sweeps, is_between) && std::ranges::all_of(sweeps, is_no_file_between);
         const FrameRange& range = options_.frames;
         for (const FrameSweepRecord& sweep : sweeps)
-            if (sweep.number >= range.begin && (range.end < 0 || sweep.number < range.end) &&
-                !(keyframes_alone && is_between(sweep)))
+            if (range.contains(sweep.number) && !(keyframes_alone && is_between(sweep)))
                 frames_.push_back(sweep);
         if (frames_.empty())
             fail<UsageError>("frames {}:{} select no {} of {}, expected numbers in [0, {}]", range.begin,

@@ -3,7 +3,7 @@
 // numbers: a quaternion and a position. Documents disagree whether w is the first or the
 // last number of the quaternion. The reader uses the order with which the vehicle drives
 // forward.
-#include "log/readers/once/once.hpp"
+#include "log/readers/readers.hpp"
 
 #include <array>
 #include <cmath>

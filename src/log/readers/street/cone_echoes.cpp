@@ -25,7 +25,7 @@ std::vector<SubRayHit> group_cone_hits_to_returns(const Scan& cone_scan, std::si
     for (std::size_t i = ray_index * kConeRays; i < (ray_index + 1) * kConeRays; ++i)
         if (cone_scan.range_m[i] > 0.0f)
             hits.emplace_back(cone_scan.range_m[i], std::max(cone_scan.intensity[i], kDarkest));
-    n_hits = static_cast<int>(hits.size());
+    n_hits = int(hits.size());
     std::sort(hits.begin(), hits.end());
     std::vector<SubRayHit> returns;
     float last_m = -1e9f;

@@ -29,6 +29,17 @@ constexpr double kBoxCentre_m = 0.5 * (kBoxBottom_m + kBoxTop_m);
 // along the street, left of the pavement
 constexpr double kYardBegin_m = 6.0, kYardEnd_m = 32.0;
 
+StreetShape make_box(const glm::dvec3& centre, const glm::dvec3& half, Material material, double reflectance,
+                     SurfaceClass surface = SurfaceClass::building, double yaw_rad = 0.0) {
+    return {StreetShape::Kind::box, centre, half, yaw_rad, material, reflectance, surface};
+}
+
+StreetShape make_cylinder(const glm::dvec3& centre, double radius_m, double half_height_m, Material material,
+                          double reflectance, SurfaceClass surface = SurfaceClass::building) {
+    return {StreetShape::Kind::cylinder, centre, {radius_m, radius_m, half_height_m}, 0.0, material,
+            reflectance, surface};
+}
+
 double compute_middle_frame_time_s(const SyntheticOptions& options) {
     return compute_frame_time_s(options.n_frames / 2);
 }
@@ -54,12 +65,9 @@ void add_facades(SyntheticStreet& street, Random& random, const StreetSide& stre
         const double y = kerb_m + side * (setback + 0.5 * depth);
         const double reflectance = random.sample_uniform_number(0.3, 0.8);
         if (!leave_yard_gap || x + width < kYardBegin_m || x > kYardEnd_m)
-            street.shapes.push_back({StreetShape::Kind::box,
-                                     {x + 0.5 * width, y, 0.5 * height},
-                                     0.5 * glm::dvec3(width, depth, height),
-                                     0.0,
-                                     Material::wall,
-                                     reflectance});
+            street.shapes.push_back(make_box({x + 0.5 * width, y, 0.5 * height},
+                                             0.5 * glm::dvec3(width, depth, height), Material::wall,
+                                             reflectance));
         x += width + (random.sample_uniform_number() < 0.3 ? random.sample_uniform_number(2.0, 5.0) : 0.0);
     }
 }
@@ -72,63 +80,35 @@ void add_poles_and_trees(SyntheticStreet& street, Random& random, const StreetSi
         const bool tree = random.sample_uniform_number() < 0.4;
         const double height = tree ? 3.0 : random.sample_uniform_number(4.0, 7.0),
                      radius = tree ? 0.18 : random.sample_uniform_number(0.07, 0.13);
-        street.shapes.push_back({StreetShape::Kind::cylinder,
-                                 {x, y, 0.5 * height},
-                                 {radius, radius, 0.5 * height},
-                                 0.0,
-                                 tree ? Material::leaves : Material::metal,
-                                 tree ? 0.3 : 0.5,
-                                 tree ? SurfaceClass::vegetation : SurfaceClass::pole});
+        street.shapes.push_back(make_cylinder({x, y, 0.5 * height}, radius, 0.5 * height,
+                                              tree ? Material::leaves : Material::metal, tree ? 0.3 : 0.5,
+                                              tree ? SurfaceClass::vegetation : SurfaceClass::pole));
         if (!tree) continue;
         const double size = random.sample_uniform_number(0.7, 1.2);
-        street.shapes.push_back({StreetShape::Kind::box,
-                                 {x, y, 3.0 + size},
-                                 glm::dvec3(size),
-                                 random.sample_uniform_number(0.0, 1.5),
-                                 Material::leaves,
-                                 0.4,
-                                 SurfaceClass::vegetation});
+        street.shapes.push_back(make_box({x, y, 3.0 + size}, glm::dvec3(size), Material::leaves, 0.4,
+                                         SurfaceClass::vegetation, random.sample_uniform_number(0.0, 1.5)));
     }
 }
 
 /// a body at 0.20 to 0.90 m, and a cabin at 0.90 to 1.45 m above the ground
 std::vector<StreetShape> make_car_shapes(double paint_reflectance) {
-    const StreetShape body{StreetShape::Kind::box,
-                           {0.0, 0.0, 0.55 - kBoxCentre_m},
-                           {0.5 * kCarLength_m, 0.5 * kCarWidth_m, 0.35},
-                           0.0,
-                           Material::paint,
-                           paint_reflectance};
-    const StreetShape cabin{StreetShape::Kind::box,
-                            {-0.2, 0.0, 1.175 - kBoxCentre_m},
-                            {1.15, 0.5 * kCarWidth_m - 0.12, 0.275},
-                            0.0,
-                            Material::paint,
-                            0.6 * paint_reflectance};
-    return {body, cabin};
+    return {make_box({0.0, 0.0, 0.55 - kBoxCentre_m}, {0.5 * kCarLength_m, 0.5 * kCarWidth_m, 0.35},
+                     Material::paint, paint_reflectance),
+            make_box({-0.2, 0.0, 1.175 - kBoxCentre_m}, {1.15, 0.5 * kCarWidth_m - 0.12, 0.275},
+                     Material::paint, 0.6 * paint_reflectance)};
 }
 
 /// The cabin has pillars, seats and a roof, but no walls.
 std::vector<StreetShape> make_glazed_car_shapes(double paint_reflectance) {
-    const StreetShape body = make_car_shapes(paint_reflectance)[0];
-    const StreetShape roof{StreetShape::Kind::box,
-                           {-0.2, 0.0, 1.42 - kBoxCentre_m},
-                           {0.95, 0.5 * kCarWidth_m - 0.12, 0.03},
-                           0.0,
-                           Material::paint,
-                           paint_reflectance};
-    const StreetShape seats{StreetShape::Kind::box, {-0.3, 0.0, 1.0 - kBoxCentre_m},
-                            {0.12, 0.6, 0.2},       0.0,
-                            Material::leaves,       0.3};
-    std::vector<StreetShape> shapes{body, roof, seats};
+    std::vector<StreetShape> shapes{
+        make_car_shapes(paint_reflectance)[0],
+        make_box({-0.2, 0.0, 1.42 - kBoxCentre_m}, {0.95, 0.5 * kCarWidth_m - 0.12, 0.03}, Material::paint,
+                 paint_reflectance),
+        make_box({-0.3, 0.0, 1.0 - kBoxCentre_m}, {0.12, 0.6, 0.2}, Material::leaves, 0.3)};
     for (const double x : {-1.2, -0.1, 0.8})
         for (const double y : {-0.75, 0.75})
-            shapes.push_back({StreetShape::Kind::box,
-                              {x, y, 1.16 - kBoxCentre_m},
-                              {0.05, 0.04, 0.26},
-                              0.0,
-                              Material::paint,
-                              paint_reflectance});
+            shapes.push_back(make_box({x, y, 1.16 - kBoxCentre_m}, {0.05, 0.04, 0.26}, Material::paint,
+                                      paint_reflectance));
     return shapes;
 }
 
@@ -163,25 +143,16 @@ void add_parked_cars(SyntheticStreet& street, Random& random, const StreetSide& 
 void add_yard(SyntheticStreet& street, Random& random) {
     const double fence_y = kLeftKerb_m + 2.4;
     for (double x = kYardBegin_m; x < kYardEnd_m; x += random.sample_uniform_number(0.4, 1.2))
-        street.shapes.push_back({StreetShape::Kind::box,
-                                 {x, fence_y, 0.9},
-                                 {0.15, 0.05, 0.9},
-                                 0.0,
-                                 Material::wall,
-                                 0.4,
-                                 SurfaceClass::fence});
+        street.shapes.push_back(
+            make_box({x, fence_y, 0.9}, {0.15, 0.05, 0.9}, Material::wall, 0.4, SurfaceClass::fence));
     for (double x = kYardBegin_m + 1.5; x < kYardEnd_m; x += random.sample_uniform_number(2.6, 4.0)) {
         const double paint_reflectance = random.sample_uniform_number(0.15, 0.8);
         const double yaw_rad = 0.5 * kPi + random.sample_uniform_number(-0.05, 0.05);
         const double y_m = fence_y + random.sample_uniform_number(3.0, 4.0);
         add_parked_car(street, x, y_m, yaw_rad, make_glazed_car_shapes(paint_reflectance));
     }
-    street.shapes.push_back({StreetShape::Kind::box,
-                             {0.5 * (kYardBegin_m + kYardEnd_m), fence_y + 12.0, 3.0},
-                             {0.5 * (kYardEnd_m - kYardBegin_m), 1.0, 3.0},
-                             0.0,
-                             Material::wall,
-                             0.5});
+    street.shapes.push_back(make_box({0.5 * (kYardBegin_m + kYardEnd_m), fence_y + 12.0, 3.0},
+                                     {0.5 * (kYardEnd_m - kYardBegin_m), 1.0, 3.0}, Material::wall, 0.5));
 }
 
 MovingStreetActor make_moving_car(const SyntheticOptions& options, double x_at_middle_time_m, double y_m,
@@ -236,19 +207,8 @@ MovingStreetActor make_pedestrian(const SyntheticOptions& options,
     const glm::dvec2 start = position_at_middle_time_m - speed_mps * compute_middle_frame_time_s(options) *
                                                              glm::dvec2(std::cos(yaw_rad), std::sin(yaw_rad));
     walker.start_m = {start, kBottom_m + kHalf_m};
-    const StreetShape legs{StreetShape::Kind::cylinder,
-                           {0.0, 0.0, 0.4 - kHalf_m},
-                           {0.125, 0.125, 0.4},
-                           0.0,
-                           Material::leaves,
-                           0.35};
-    const StreetShape trunk{StreetShape::Kind::cylinder,
-                            {0.0, 0.0, 0.8 + 0.45 - kHalf_m},
-                            {0.175, 0.175, 0.45},
-                            0.0,
-                            Material::leaves,
-                            0.5};
-    walker.shapes = {legs, trunk};
+    walker.shapes = {make_cylinder({0.0, 0.0, 0.4 - kHalf_m}, 0.125, 0.4, Material::leaves, 0.35),
+                     make_cylinder({0.0, 0.0, 0.8 + 0.45 - kHalf_m}, 0.175, 0.45, Material::leaves, 0.5)};
     return walker;
 }
 
@@ -281,9 +241,8 @@ MovingStreetActor make_cyclist(const SyntheticOptions& options, const glm::dvec2
     rider.category = "Cyclist";
     rider.size_m.x = 1.8;
     for (StreetShape& shape : rider.shapes) shape.centre.x -= 0.2;
-    rider.shapes[0] = {StreetShape::Kind::box, {0.0, 0.0, 0.5 - 0.5 * rider.size_m.z},
-                       {0.85, 0.08, 0.45},     0.0,
-                       Material::metal,        0.4};
+    rider.shapes[0] =
+        make_box({0.0, 0.0, 0.5 - 0.5 * rider.size_m.z}, {0.85, 0.08, 0.45}, Material::metal, 0.4);
     return rider;
 }
 

@@ -101,7 +101,7 @@ void cast_rays_at_firing_times(const street::SyntheticStreet& full_street,
     for (std::size_t ray = 0; ray < rays.size(); ++ray) {
         WorldRay in_street = make_world_ray(sensor_track, scan_time_s, rays, ray, true);
         in_street.origin_m += world_origin_in_street_m;
-        const double t_s = scan_time_s + static_cast<double>(rays.time_offset_s[ray]);
+        const double t_s = scan_time_s + double(rays.time_offset_s[ray]);
         if (const std::optional<StreetHit> hit =
                 street.find_first_hit(in_street, t_s, kMaxRange_m, actor_poses_by_column[ray % columns]))
             on_hit(ray, *hit);
@@ -129,8 +129,8 @@ Scan cast_noise_free_scan_with_one_return(const street::SyntheticStreet& street,
     cast_rays_at_firing_times(street, world_origin_in_street_m, sensor_track, scan_time_s, rays,
                               [&](std::size_t ray, const StreetHit& hit) {
                                   if (compute_drop_probability(hit) > 0.5) return;
-                                  scan.range_m[ray] = static_cast<float>(hit.range_m);
-                                  scan.intensity[ray] = static_cast<float>(compute_echo_intensity(hit));
+                                  scan.range_m[ray] = float(hit.range_m);
+                                  scan.intensity[ray] = float(compute_echo_intensity(hit));
                                   scan.classes[ray] = hit.surface;
                               });
     return scan;
@@ -150,8 +150,8 @@ Scan cast_noise_free_scan_with_two_returns(const street::SyntheticStreet& street
 }
 
 std::uint64_t compute_frame_seed(const SyntheticOptions& options, const LidarFrame& frame) {
-    const std::uint64_t seed = hash_integer_pair(options.seed, static_cast<std::uint64_t>(frame.index));
-    return frame.lidar == 0 ? seed : hash_integer_pair(seed, static_cast<std::uint64_t>(frame.lidar));
+    const std::uint64_t seed = hash_integer_pair(options.seed, std::uint64_t(frame.index));
+    return frame.lidar == 0 ? seed : hash_integer_pair(seed, std::uint64_t(frame.lidar));
 }
 
 void add_range_noise(Scan& scan, std::uint64_t seed, double noise_stddev_m) {
@@ -159,8 +159,8 @@ void add_range_noise(Scan& scan, std::uint64_t seed, double noise_stddev_m) {
         Random random(hash_integer_pair(seed, i));
         const auto spread = [&](float& range_m) {
             if (range_m > 0.0f)
-                range_m = static_cast<float>(
-                    std::max(double(range_m) + noise_stddev_m * random.sample_standard_normal(), 0.01));
+                range_m =
+                    float(std::max(double(range_m) + noise_stddev_m * random.sample_standard_normal(), 0.01));
         };
         spread(scan.range_m[i]);
         for (AdditionalReturns& f : scan.second_returns) spread(f.range_m[i]);
@@ -189,8 +189,8 @@ Scan simulate_noisy_scan_with_one_return(const SyntheticOptions& options,
             Random random(hash_integer_pair(seed, ray));
             if (random.sample_uniform_number() < compute_drop_probability(hit)) return;
             const double range = hit.range_m + options.range_noise_m * random.sample_standard_normal();
-            scan.range_m[ray] = static_cast<float>(std::max(range, 0.01));
-            scan.intensity[ray] = static_cast<float>(
+            scan.range_m[ray] = float(std::max(range, 0.01));
+            scan.intensity[ray] = float(
                 glm::clamp(compute_echo_intensity(hit) + 0.01 * random.sample_standard_normal(), 0.0, 1.0));
             scan.classes[ray] = hit.surface;
         });
@@ -257,8 +257,8 @@ LidarSequence make_synthetic_frames(const SyntheticOptions& options, int begin_f
                       street::compute_sensor_pose(options, street::compute_frame_time_s(frame)), int(l));
     sequence.boxes = make_car_box_tracks(street, sequence.world_from_vehicle.time_s);
     move_world_origin_of_log(sequence, compute_world_origin_in_street_m(options));
-    parallel_for(static_cast<int>(sequence.frames.size()), [&](int index) {
-        LidarFrame& frame = sequence.frames[static_cast<std::size_t>(index)];
+    parallel_for(int(sequence.frames.size()), [&](int index) {
+        LidarFrame& frame = sequence.frames[std::size_t(index)];
         const std::size_t l = std::size_t(frame.lidar);
         const bool changes = summarise_scan_pattern(rig[l].sensor.pattern).has_rays_by_time;
         const RayTable table = changes ? make_rays(rig[l].sensor, frame.time_s) : rays[l];

@@ -9,12 +9,6 @@
 
 namespace relidar {
 
-/// Generates the log of folder/street.toml. The origin of the world is the sensor in the
-/// middle of the full log, even if only some frames are loaded.
-/// @throws DataError with the invalid key
-/// @throws UsageError if no frame is in the requested range or a poses file is given
-LidarSequence load_synthetic_dataset(const std::filesystem::path& folder, const DatasetOptions& options);
-
 /// Generates the frames [begin_frame, end_frame) of the log.
 LidarSequence make_synthetic_frames(const SyntheticOptions& options, int begin_frame, int end_frame);
 

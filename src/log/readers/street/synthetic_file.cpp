@@ -17,6 +17,7 @@
 #include "base/number_text.hpp"
 #include "base/toml_depth.hpp"
 #include "log/clouds/log_files.hpp"
+#include "log/readers/readers.hpp"
 
 namespace relidar {
 namespace {
@@ -78,9 +79,9 @@ SyntheticOptions read_street_toml(const fs::path& toml_file) {
              fmt::join(kKeys, ", "));
     }
     SyntheticOptions options;
-    std::int64_t seed = static_cast<std::int64_t>(options.seed);
+    std::int64_t seed = std::int64_t(options.seed);
     read_toml_value_if_present(table, "seed", "a whole number", file, seed);
-    options.seed = static_cast<std::uint64_t>(seed);
+    options.seed = std::uint64_t(seed);
     read_toml_value_if_present(table, "n_frames", "a whole number", file, options.n_frames);
     read_toml_value_if_present(table, "rows", "a whole number", file, options.rows);
     read_toml_value_if_present(table, "columns", "a whole number", file, options.columns);
@@ -101,12 +102,11 @@ LidarSequence load_synthetic_dataset(const fs::path& folder, const DatasetOption
     const fs::path file = folder / "street.toml";
     const SyntheticOptions street = read_synthetic_options(folder);
     const int end = options.frames.end < 0 ? street.n_frames : std::min(options.frames.end, street.n_frames);
-    if (street.n_frames > 0 && options.frames.begin >= end) {
+    if (street.n_frames > 0 && options.frames.begin >= end)
         fail<UsageError>("frames {}:{} select no frame of {}, expected numbers in [0, {}]",
                          options.frames.begin,
                          options.frames.end < 0 ? "" : std::to_string(options.frames.end), folder.string(),
                          street.n_frames - 1);
-    }
     LidarSequence sequence;
     try {
         sequence = make_synthetic_frames(street, options.frames.begin, end);
@@ -131,7 +131,7 @@ void save_synthetic_options(const SyntheticOptions& options, const fs::path& fol
     out << fmt::format(
         "seed = {}\nn_frames = {}\nrows = {}\ncolumns = {}\nrange_noise_m = {}\nspeed_mps = {}\nmoving_cars "
         "= {}\npeople = {}\ngait = {}\n",
-        static_cast<std::int64_t>(options.seed), options.n_frames, options.rows, options.columns,
+        std::int64_t(options.seed), options.n_frames, options.rows, options.columns,
         format_number_text(options.range_noise_m), format_number_text(options.speed_mps), options.moving_cars,
         options.people, options.gait);
     if (!options.rig.empty()) out << "rig = " << toml::value(fs::absolute(options.rig).string()) << "\n";

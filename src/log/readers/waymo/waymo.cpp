@@ -9,7 +9,7 @@
 // moved the points of the other LiDARs with the vehicle pose of the record. The reader
 // computes the ray in the world with the same pose. Then it converts the ray to the
 // vehicle frame of the log at the time of the ray.
-#include "log/readers/waymo/waymo.hpp"
+#include "log/readers/readers.hpp"
 
 #include <algorithm>
 #include <cmath>
@@ -86,7 +86,7 @@ RequestedSegment choose_segment(const fs::path& file_or_folder, const DatasetOpt
 /// records [begin, end)
 std::pair<int, int> get_requested_record_range(const TfRecordReader& records,
                                                const FrameRange& requested_frames) {
-    const int n = static_cast<int>(std::min<std::size_t>(records.size(), 1 << 30));
+    const int n = int(std::min<std::size_t>(records.size(), 1 << 30));
     const int end = requested_frames.end < 0 ? n : std::min(requested_frames.end, n);
     if (requested_frames.begin >= end)
         fail<UsageError>("the frame range {}:{} selects no frame of {}, expected frame numbers from 0 to {}",

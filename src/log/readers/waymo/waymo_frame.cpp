@@ -22,17 +22,17 @@ namespace {
 using protozero::pbf_reader;
 using protozero::pbf_wire_type;
 
-constexpr std::uint32_t make_varint_tag(std::uint32_t field_number) {
-    return protozero::tag_and_type(field_number, pbf_wire_type::varint);
+constexpr std::uint32_t make_varint_tag(std::uint32_t field) {
+    return protozero::tag_and_type(field, pbf_wire_type::varint);
 }
-constexpr std::uint32_t make_message_tag(std::uint32_t field_number) {
-    return protozero::tag_and_type(field_number, pbf_wire_type::length_delimited);
+constexpr std::uint32_t make_message_tag(std::uint32_t field) {
+    return protozero::tag_and_type(field, pbf_wire_type::length_delimited);
 }
-constexpr std::uint32_t make_protobuf_tag_of_double_field(std::uint32_t field_number) {
-    return protozero::tag_and_type(field_number, pbf_wire_type::fixed64);
+constexpr std::uint32_t make_double_tag(std::uint32_t field) {
+    return protozero::tag_and_type(field, pbf_wire_type::fixed64);
 }
-constexpr std::uint32_t make_float_tag(std::uint32_t field_number) {
-    return protozero::tag_and_type(field_number, pbf_wire_type::fixed32);
+constexpr std::uint32_t make_float_tag(std::uint32_t field) {
+    return protozero::tag_and_type(field, pbf_wire_type::fixed32);
 }
 
 // bytes; six channels of TOP have 4 MB
@@ -56,19 +56,14 @@ void append_packed_doubles(pbf_reader& reader, std::vector<double>& values) {
     for (const double value : reader.get_packed_double()) values.push_back(value);
 }
 
+/// Parses a 4x4 matrix of doubles, row-major.
 Pose parse_transform(pbf_reader reader, const std::string& error_location) {
     std::vector<double> m;
     while (reader.next()) {
-        switch (reader.tag_and_type()) {
-            case make_protobuf_tag_of_double_field(1):
-                m.push_back(reader.get_double());
-                break;
-            case make_message_tag(1):
-                append_packed_doubles(reader, m);
-                break;
-            default:
-                reader.skip();
-        }
+        const std::uint32_t tag = reader.tag_and_type();
+        if (tag == make_double_tag(1)) m.push_back(reader.get_double());
+        else if (tag == make_message_tag(1)) append_packed_doubles(reader, m);
+        else reader.skip();
     }
     if (m.size() != 16)
         fail("{}: found a transform of {} numbers, expected 16 numbers", error_location, m.size());
@@ -81,88 +76,50 @@ Pose parse_transform(pbf_reader reader, const std::string& error_location) {
 WaymoLidarCalibration parse_laser_calibration(pbf_reader reader, const std::string& error_location) {
     WaymoLidarCalibration calibration;
     while (reader.next()) {
-        switch (reader.tag_and_type()) {
-            case make_varint_tag(1):
-                calibration.laser = reader.get_enum();
-                break;
-            case make_protobuf_tag_of_double_field(2):
-                calibration.inclination_rad.push_back(reader.get_double());
-                break;
-            case make_message_tag(2):
-                append_packed_doubles(reader, calibration.inclination_rad);
-                break;
-            case make_protobuf_tag_of_double_field(3):
-                calibration.min_inclination_rad = reader.get_double();
-                break;
-            case make_protobuf_tag_of_double_field(4):
-                calibration.max_inclination_rad = reader.get_double();
-                break;
-            case make_message_tag(5):
-                calibration.vehicle_from_laser =
-                    parse_transform(reader.get_message(), error_location + ", extrinsic");
-                break;
-            default:
-                reader.skip();
-        }
+        const std::uint32_t tag = reader.tag_and_type();
+        if (tag == make_varint_tag(1)) calibration.laser = reader.get_enum();
+        else if (tag == make_double_tag(2)) calibration.inclination_rad.push_back(reader.get_double());
+        else if (tag == make_message_tag(2)) append_packed_doubles(reader, calibration.inclination_rad);
+        else if (tag == make_double_tag(3)) calibration.min_inclination_rad = reader.get_double();
+        else if (tag == make_double_tag(4)) calibration.max_inclination_rad = reader.get_double();
+        else if (tag == make_message_tag(5))
+            calibration.vehicle_from_laser =
+                parse_transform(reader.get_message(), error_location + ", extrinsic");
+        else reader.skip();
     }
     return calibration;
 }
 
 void parse_calibrations_into_frame(pbf_reader reader, WaymoFrameRecord& frame_record,
                                    const std::string& error_location) {
-    while (reader.next()) {
+    while (reader.next())
         if (reader.tag_and_type() == make_message_tag(3))
             frame_record.lasers.push_back(
                 parse_laser_calibration(reader.get_message(), error_location + ": laser_calibrations"));
         else reader.skip();
-    }
 }
 
-struct CompressedReturnImages {
-    std::string_view image, pixel_pose, labels;
-};
-
-CompressedReturnImages parse_range_image(pbf_reader reader) {
-    CompressedReturnImages images;
+/// Parses the image of returns, the poses of its pixels, and their labels.
+void parse_return_images(pbf_reader reader, CompressedLidarImages& laser) {
     while (reader.next()) {
-        switch (reader.tag_and_type()) {
-            case make_message_tag(2):
-                images.image = read_bytes_field(reader);
-                break;
-            case make_message_tag(4):
-                images.pixel_pose = read_bytes_field(reader);
-                break;
-            case make_message_tag(6):
-                images.labels = read_bytes_field(reader);
-                break;
-            default:
-                reader.skip();
-        }
+        const std::uint32_t tag = reader.tag_and_type();
+        if (tag == make_message_tag(2)) laser.first = read_bytes_field(reader);
+        else if (tag == make_message_tag(4)) laser.pixel_pose = read_bytes_field(reader);
+        else if (tag == make_message_tag(6)) laser.labels = read_bytes_field(reader);
+        else reader.skip();
     }
-    return images;
 }
 
 CompressedLidarImages parse_laser_images(pbf_reader reader) {
-    CompressedLidarImages laser;
+    CompressedLidarImages laser, second;
     while (reader.next()) {
-        switch (reader.tag_and_type()) {
-            case make_varint_tag(1):
-                laser.laser = reader.get_enum();
-                break;
-            case make_message_tag(2): {
-                const CompressedReturnImages first = parse_range_image(reader.get_message());
-                laser.first = first.image;
-                laser.pixel_pose = first.pixel_pose;
-                laser.labels = first.labels;
-                break;
-            }
-            case make_message_tag(3):
-                laser.second = parse_range_image(reader.get_message()).image;
-                break;
-            default:
-                reader.skip();
-        }
+        const std::uint32_t tag = reader.tag_and_type();
+        if (tag == make_varint_tag(1)) laser.laser = reader.get_enum();
+        else if (tag == make_message_tag(2)) parse_return_images(reader.get_message(), laser);
+        else if (tag == make_message_tag(3)) parse_return_images(reader.get_message(), second);
+        else reader.skip();
     }
+    laser.second = second.first;
     return laser;
 }
 
@@ -187,19 +144,11 @@ void parse_label_into_frame(pbf_reader reader, WaymoFrameRecord& frame_record,
     BoxLabel label;
     int type = 0;
     while (reader.next()) {
-        switch (reader.tag_and_type()) {
-            case make_message_tag(1):
-                parse_box_into_label(reader.get_message(), label, error_location);
-                break;
-            case make_varint_tag(3):
-                type = reader.get_enum();
-                break;
-            case make_message_tag(4):
-                label.id = reader.get_string();
-                break;
-            default:
-                reader.skip();
-        }
+        const std::uint32_t tag = reader.tag_and_type();
+        if (tag == make_message_tag(1)) parse_box_into_label(reader.get_message(), label, error_location);
+        else if (tag == make_varint_tag(3)) type = reader.get_enum();
+        else if (tag == make_message_tag(4)) label.id = reader.get_string();
+        else reader.skip();
     }
     constexpr int kVehicle = 1, kPedestrian = 2, kCyclist = 4;
     if (type == kVehicle) label.category = "vehicle";
@@ -218,32 +167,24 @@ void parse_label_into_frame(pbf_reader reader, WaymoFrameRecord& frame_record,
 /// MatrixFloat or MatrixInt32: values and dimensions
 void parse_pixel_matrix(pbf_reader reader, PixelType pixel_type, std::vector<float>& values,
                         std::vector<std::int32_t>& dimensions) {
+    const bool is_integer = pixel_type == PixelType::integer;
     while (reader.next()) {
-        switch (reader.tag_and_type()) {
-            case make_float_tag(1):
-                values.push_back(reader.get_float());
-                break;
-            case make_varint_tag(1):
-                if (pixel_type == PixelType::integer) values.push_back(float(reader.get_int32()));
-                else reader.skip();
-                break;
-            case make_message_tag(1):
-                if (pixel_type == PixelType::real)
-                    for (const float value : reader.get_packed_float()) values.push_back(value);
-                else
-                    for (const std::int32_t value : reader.get_packed_int32()) values.push_back(float(value));
-                break;
-            case make_message_tag(2):
-                for (pbf_reader shape = reader.get_message(); shape.next();) {
-                    if (shape.tag_and_type() == make_varint_tag(1)) dimensions.push_back(shape.get_int32());
-                    else if (shape.tag_and_type() == make_message_tag(1)) {
-                        for (const std::int32_t dim : shape.get_packed_int32()) dimensions.push_back(dim);
-                    } else shape.skip();
-                }
-                break;
-            default:
-                reader.skip();
-        }
+        const std::uint32_t tag = reader.tag_and_type();
+        if (tag == make_float_tag(1)) values.push_back(reader.get_float());
+        else if (tag == make_varint_tag(1) && is_integer) values.push_back(float(reader.get_int32()));
+        else if (tag == make_message_tag(1) && is_integer)
+            for (const std::int32_t value : reader.get_packed_int32()) values.push_back(float(value));
+        else if (tag == make_message_tag(1))
+            for (const float value : reader.get_packed_float()) values.push_back(value);
+        else if (tag == make_message_tag(2))
+            for (pbf_reader shape = reader.get_message(); shape.next();) {
+                const std::uint32_t kind = shape.tag_and_type();
+                if (kind == make_varint_tag(1)) dimensions.push_back(shape.get_int32());
+                else if (kind == make_message_tag(1))
+                    for (const std::int32_t dim : shape.get_packed_int32()) dimensions.push_back(dim);
+                else shape.skip();
+            }
+        else reader.skip();
     }
 }
 
@@ -287,26 +228,18 @@ WaymoFrameRecord parse_frame_record(std::string_view record_bytes, const std::st
     bool has_pose = false;
     call_and_convert_protobuf_errors(error_location, [&] {
         for (pbf_reader from(record_bytes.data(), record_bytes.size()); from.next();) {
-            switch (from.tag_and_type()) {
-                case make_message_tag(1):
-                    parse_calibrations_into_frame(from.get_message(), frame, error_location);
-                    break;
-                case make_varint_tag(2):
-                    frame.timestamp_us = from.get_int64();
-                    break;
-                case make_message_tag(3):
-                    frame.world_from_vehicle = parse_transform(from.get_message(), error_location + ": pose");
-                    has_pose = true;
-                    break;
-                case make_message_tag(5):
-                    frame.images.push_back(parse_laser_images(from.get_message()));
-                    break;
-                case make_message_tag(6):
-                    parse_label_into_frame(from.get_message(), frame, error_location + ": laser_labels");
-                    break;
-                default:
-                    from.skip();
-            }
+            const std::uint32_t tag = from.tag_and_type();
+            if (tag == make_message_tag(1))
+                parse_calibrations_into_frame(from.get_message(), frame, error_location);
+            else if (tag == make_varint_tag(2)) frame.timestamp_us = from.get_int64();
+            else if (tag == make_message_tag(3)) {
+                frame.world_from_vehicle = parse_transform(from.get_message(), error_location + ": pose");
+                has_pose = true;
+            } else if (tag == make_message_tag(5))
+                frame.images.push_back(parse_laser_images(from.get_message()));
+            else if (tag == make_message_tag(6))
+                parse_label_into_frame(from.get_message(), frame, error_location + ": laser_labels");
+            else from.skip();
         }
     });
     if (!has_pose)

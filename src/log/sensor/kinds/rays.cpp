@@ -48,8 +48,8 @@ struct RayTableFunctions {
                                       .channel = list("ring"),
                                       .keeps_floats = true};
         const std::size_t rows = count_ray_rows(field);
-        c.rows = static_cast<int>(rows);
-        c.columns = static_cast<int>(std::min(c.direction.size() / 3 / rows, kMaxRays));
+        c.rows = int(rows);
+        c.columns = int(std::min(c.direction.size() / 3 / rows, kMaxRays));
         std::optional<double> of_all_mrad;
         if (field.has_member("divergence_mrad")) of_all_mrad = field.at("divergence_mrad").get_number();
         c.divergence_rad = sensor_files::select_per_ray_or_common_divergence(list("divergence"), of_all_mrad,

@@ -9,16 +9,18 @@
 
 namespace relidar {
 
+using namespace pattern_detail;
+
 RayTable make_rays(const RosetteSensor& rosette, double time_s) {
-    pattern_detail::require_allowed_ray_count(rosette.name, rosette.n_rays);
-    pattern_detail::require_finite_sum_and_valid_period(
+    require_allowed_ray_count(rosette.name, rosette.n_rays);
+    require_finite_sum_and_valid_period(
         rosette.name,
         rosette.deflection_rad + rosette.first_hz + rosette.second_hz + rosette.divergence_rad + time_s,
         rosette.period_s);
     RayTable rays;
     rays.rows = 1;
     rays.columns = rosette.n_rays;
-    rays.divergence_rad = static_cast<float>(rosette.divergence_rad);
+    rays.divergence_rad = float(rosette.divergence_rad);
     for (int i = 0; i < rosette.n_rays; ++i) {
         const double offset_s = ((i + 0.5) / rosette.n_rays - 0.5) * rosette.period_s;
         const double first = 2.0 * kPi * std::fmod(rosette.first_hz * (time_s + offset_s), 1.0);
@@ -26,8 +28,7 @@ RayTable make_rays(const RosetteSensor& rosette, double time_s) {
         const double left = rosette.deflection_rad * (std::cos(first) + std::cos(second));
         const double up = rosette.deflection_rad * (std::sin(first) + std::sin(second));
         const double bent = std::hypot(left, up), share = bent > 0.0 ? std::sin(bent) / bent : 1.0;
-        pattern_detail::append_ray_from_sensor_origin(rays, {std::cos(bent), left * share, up * share},
-                                                      offset_s, 0);
+        append_ray_from_sensor_origin(rays, {std::cos(bent), left * share, up * share}, offset_s, 0);
     }
     return rays;
 }
@@ -38,20 +39,16 @@ struct RosetteFunctions {
     using Pattern = RosetteSensor;
 
     static SensorModel parse(const JsonField& field, const std::string& default_name) {
-        pattern_detail::require_only_known_sensor_members(field, {"rays", "first_hz", "second_hz"},
-                                                          {"deflection"});
-        const auto [name, limits, period_s, divergence_rad] =
-            pattern_detail::read_common_sensor_members(field, default_name);
-        return {
-            name, "", limits,
-            RosetteSensor{
-                .name = name,
-                .deflection_rad = pattern_detail::read_angle_member_as_rad(field, "deflection", 45.0),
-                .first_hz = field.at("first_hz").get_number_in_range(-1e5, 1e5),
-                .second_hz = field.at("second_hz").get_number_in_range(-1e5, 1e5),
-                .n_rays = static_cast<int>(field.at("rays").get_integer_in_range(1, std::int64_t(kMaxRays))),
-                .period_s = period_s,
-                .divergence_rad = divergence_rad}};
+        require_only_known_sensor_members(field, {"rays", "first_hz", "second_hz"}, {"deflection"});
+        const auto [name, limits, period_s, divergence_rad] = read_common_sensor_members(field, default_name);
+        return {name, "", limits,
+                RosetteSensor{.name = name,
+                              .deflection_rad = read_angle_member_as_rad(field, "deflection", 45.0),
+                              .first_hz = field.at("first_hz").get_number_in_range(-1e5, 1e5),
+                              .second_hz = field.at("second_hz").get_number_in_range(-1e5, 1e5),
+                              .n_rays = int(field.at("rays").get_integer_in_range(1, std::int64_t(kMaxRays))),
+                              .period_s = period_s,
+                              .divergence_rad = divergence_rad}};
     }
     static nlohmann::ordered_json write(const RosetteSensor& rosette) {
         return {{"rays", rosette.n_rays},       {"deflection_rad", rosette.deflection_rad},

@@ -8,6 +8,8 @@
 #include "log/sensor/pattern_kinds.hpp"
 
 namespace relidar {
+
+using namespace pattern_detail;
 namespace {
 
 // of a beam from the origin of the sensor
@@ -22,17 +24,17 @@ Beam read_beam(const JsonField& field) {
                                       "azimuth_offset_rad", "origin_offset_m", "origin_up_m", "origin_left_m",
                                       "intensity_gain", "intensity_offset", "range_offset_m"});
     const auto number = [&](const char* key, double default_value, double most) {
-        return pattern_detail::read_number_member_or_default(field, key, default_value, -most, most);
+        return read_number_member_or_default(field, key, default_value, -most, most);
     };
-    return {.elevation_rad = pattern_detail::read_angle_member_as_rad(field, "elevation", 90.0),
-            .azimuth_offset_rad =
-                pattern_detail::read_angle_member_or_default_rad(field, "azimuth_offset", 0.0, kMaxAngle_deg),
-            .origin_offset_m = number("origin_offset_m", 0.0, kFarthestBeam_m),
-            .origin_up_m = number("origin_up_m", 0.0, kFarthestBeam_m),
-            .origin_left_m = number("origin_left_m", 0.0, kFarthestBeam_m),
-            .intensity_gain = number("intensity_gain", 1.0, kLargestResponse),
-            .intensity_offset = number("intensity_offset", 0.0, kLargestResponse),
-            .range_offset_m = number("range_offset_m", 0.0, kLargestResponse)};
+    return {
+        .elevation_rad = read_angle_member_as_rad(field, "elevation", 90.0),
+        .azimuth_offset_rad = read_angle_member_or_default_rad(field, "azimuth_offset", 0.0, kMaxAngle_deg),
+        .origin_offset_m = number("origin_offset_m", 0.0, kFarthestBeam_m),
+        .origin_up_m = number("origin_up_m", 0.0, kFarthestBeam_m),
+        .origin_left_m = number("origin_left_m", 0.0, kFarthestBeam_m),
+        .intensity_gain = number("intensity_gain", 1.0, kLargestResponse),
+        .intensity_offset = number("intensity_offset", 0.0, kLargestResponse),
+        .range_offset_m = number("range_offset_m", 0.0, kLargestResponse)};
 }
 
 void read_beams(const JsonField& field, SpinningSensor& sensor) {
@@ -43,7 +45,7 @@ void read_beams(const JsonField& field, SpinningSensor& sensor) {
                                 fmt::format("expected 1 to {}", kMostBeams));
     if (sensor.beams.front().elevation_rad < sensor.beams.back().elevation_rad)
         beams.throw_field_error("found the lowest beam first", "expected the highest beam first");
-    sensor.columns = static_cast<int>(field.at("columns").get_integer_in_range(1, 1'000'000));
+    sensor.columns = int(field.at("columns").get_integer_in_range(1, 1'000'000));
     if (sensor.beams.size() * std::size_t(sensor.columns) > kMaxRays)
         beams.throw_field_error(
             fmt::format("found {} beams x {} columns", sensor.beams.size(), sensor.columns),
@@ -70,10 +72,9 @@ struct SpinningFunctions {
 
     /// The beams can be missing, if only the scans of a LiDAR are known.
     static SensorModel parse(const JsonField& field, const std::string& default_name) {
-        pattern_detail::require_only_known_sensor_members(field, {"beams", "columns", "clockwise"},
-                                                          {"first_azimuth"});
+        require_only_known_sensor_members(field, {"beams", "columns", "clockwise"}, {"first_azimuth"});
         SpinningSensor sensor;
-        const auto common = pattern_detail::read_common_sensor_members(field, default_name, 0.0);
+        const auto common = read_common_sensor_members(field, default_name, 0.0);
         sensor.name = common.name;
         sensor.period_s = common.period_s;
         sensor.min_range_m = common.limits.min_m;
@@ -83,7 +84,7 @@ struct SpinningFunctions {
         if (field.has_member("beams")) read_beams(field, sensor);
         const double middle = sensor.columns > 0 ? (180.0 - 180.0 / sensor.columns) * kPi / 180.0 : 0.0;
         sensor.first_azimuth_rad =
-            pattern_detail::read_angle_member_or_default_rad(field, "first_azimuth", middle, kMaxAngle_deg);
+            read_angle_member_or_default_rad(field, "first_azimuth", middle, kMaxAngle_deg);
         return {sensor.name, "", common.limits, std::move(sensor)};
     }
     static nlohmann::ordered_json write(const SpinningSensor& sensor) {

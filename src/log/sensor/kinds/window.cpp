@@ -12,9 +12,11 @@
 
 namespace relidar {
 
+using namespace pattern_detail;
+
 RayTable make_rays(const WindowScanSensor& window) {
-    pattern_detail::require_allowed_ray_count(window.name, double(window.rows) * double(window.columns));
-    pattern_detail::require_finite_sum_and_valid_period(
+    require_allowed_ray_count(window.name, double(window.rows) * double(window.columns));
+    require_finite_sum_and_valid_period(
         window.name,
         window.left_rad + window.right_rad + window.top_rad + window.bottom_rad + window.divergence_rad,
         window.period_s);
@@ -23,16 +25,16 @@ RayTable make_rays(const WindowScanSensor& window) {
     RayTable rays;
     rays.rows = window.rows;
     rays.columns = window.columns;
-    rays.divergence_rad = static_cast<float>(window.divergence_rad);
+    rays.divergence_rad = float(window.divergence_rad);
     for (int row = 0; row < window.rows; ++row) {
-        const double elevation = pattern_detail::compute_evenly_spaced_value(
-                         window.top_rad, window.bottom_rad, row, window.rows),
+        const double elevation =
+                         compute_evenly_spaced_value(window.top_rad, window.bottom_rad, row, window.rows),
                      c = std::cos(elevation);
         for (int column = 0; column < window.columns; ++column) {
-            const double azimuth = pattern_detail::compute_evenly_spaced_value(
-                window.left_rad, window.right_rad, column, window.columns);
+            const double azimuth =
+                compute_evenly_spaced_value(window.left_rad, window.right_rad, column, window.columns);
             const double time_s = ((column + 0.5) / window.columns - 0.5) * window.period_s;
-            pattern_detail::append_ray_from_sensor_origin(
+            append_ray_from_sensor_origin(
                 rays, {c * std::cos(azimuth), c * std::sin(azimuth), std::sin(elevation)}, time_s, row);
         }
     }
@@ -45,20 +47,17 @@ struct WindowScanFunctions {
     using Pattern = WindowScanSensor;
 
     static SensorModel parse(const JsonField& field, const std::string& default_name) {
-        pattern_detail::require_only_known_sensor_members(field, {"rows", "columns"},
-                                                          {"left", "right", "top", "bottom"});
-        const auto [name, limits, period_s, divergence_rad] =
-            pattern_detail::read_common_sensor_members(field, default_name);
-        const WindowScanSensor window{
-            .name = name,
-            .rows = static_cast<int>(field.at("rows").get_integer_in_range(1, 65535)),
-            .columns = static_cast<int>(field.at("columns").get_integer_in_range(1, 1'000'000)),
-            .left_rad = pattern_detail::read_angle_member_as_rad(field, "left", 180.0),
-            .right_rad = pattern_detail::read_angle_member_as_rad(field, "right", 180.0),
-            .top_rad = pattern_detail::read_angle_member_as_rad(field, "top", 90.0),
-            .bottom_rad = pattern_detail::read_angle_member_as_rad(field, "bottom", 90.0),
-            .period_s = period_s,
-            .divergence_rad = divergence_rad};
+        require_only_known_sensor_members(field, {"rows", "columns"}, {"left", "right", "top", "bottom"});
+        const auto [name, limits, period_s, divergence_rad] = read_common_sensor_members(field, default_name);
+        const WindowScanSensor window{.name = name,
+                                      .rows = int(field.at("rows").get_integer_in_range(1, 65535)),
+                                      .columns = int(field.at("columns").get_integer_in_range(1, 1'000'000)),
+                                      .left_rad = read_angle_member_as_rad(field, "left", 180.0),
+                                      .right_rad = read_angle_member_as_rad(field, "right", 180.0),
+                                      .top_rad = read_angle_member_as_rad(field, "top", 90.0),
+                                      .bottom_rad = read_angle_member_as_rad(field, "bottom", 90.0),
+                                      .period_s = period_s,
+                                      .divergence_rad = divergence_rad};
         if (std::size_t(window.rows) * std::size_t(window.columns) > kMaxRays)
             field.throw_field_error(fmt::format("found {} rows x {} columns", window.rows, window.columns),
                                     fmt::format("expected at most {} rays", kMaxRays));

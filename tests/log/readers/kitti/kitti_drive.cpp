@@ -27,7 +27,7 @@ std::vector<Beam> make_beams() {
     double mean = 0.0;
     for (int k = 0; k < 64; ++k) {
         const double elevation_deg = k < 32 ? 2.0 - 0.34 * k : -9.0 - 0.51 * (k - 32);
-        Beam& beam = beams[static_cast<std::size_t>(k)];
+        Beam& beam = beams[std::size_t(k)];
         beam.elevation_rad = elevation_deg * kPi / 180.0;
         beam.azimuth_offset_rad = random.sample_uniform_number(-0.14, 0.14);
         beam.origin_up_m = (k < 32 ? 0.20 : 0.12) * std::cos(beam.elevation_rad);
@@ -42,8 +42,7 @@ double compute_head_azimuth(Heads heads, int firing, int frame) {
     const double even = firing * 4000.0 / KittiDrive::kFirings;
     if (heads == Heads::even) return (2000.0 - even) * kTick;
     if (heads == Heads::jittered) {
-        Random random(
-            hash_integer_pair(static_cast<std::uint64_t>(firing), static_cast<std::uint64_t>(frame)));
+        Random random(hash_integer_pair(std::uint64_t(firing), std::uint64_t(frame)));
         return (2000.0 - even - random.sample_uniform_number(0.0, 2.5)) * kTick;
     }
     const double wobble = 1.4 * std::sin(6.0 * kPi * firing / KittiDrive::kFirings) + 1.9 * frame;
@@ -63,12 +62,9 @@ Sweep make_sweep(const std::vector<Beam>& beams, Heads heads, int frame) {
         for (int n = 0; n < KittiDrive::kFirings; ++n) {
             const BeamRay ray = compute_beam_ray(beams[k], compute_head_azimuth(heads, n, frame));
             const double azimuth = std::atan2(ray.direction.y, ray.direction.x);
-            const double reach = 9.0 + 4.0 * std::sin(3.0 * azimuth) +
-                                 2.0 * std::cos(7.0 * azimuth + 0.3 * static_cast<double>(k));
-            const bool drop = hash_integer_pair(k * 1000 + static_cast<std::uint64_t>(n),
-                                                static_cast<std::uint64_t>(frame)) %
-                                  10 ==
-                              0;
+            const double reach =
+                9.0 + 4.0 * std::sin(3.0 * azimuth) + 2.0 * std::cos(7.0 * azimuth + 0.3 * double(k));
+            const bool drop = hash_integer_pair(k * 1000 + std::uint64_t(n), std::uint64_t(frame)) % 10 == 0;
             if (drop) {
                 sweep.dropped.push_back(ray.direction);
                 continue;

@@ -72,7 +72,7 @@ TEST(KittiRaw, EveryPointAndEveryDropHasItsRay) {
         const double late = std::remainder(scan.rays.time_offset_s[i] + head / (2 * kPi) * 0.1, 0.1);
         ASSERT_LT(std::abs(late), 2e-4);  // the left offset turns a ray by 26 mm divided by its range
         const double column_azimuth =
-            kPi - (static_cast<double>(i % KittiDrive::kFirings) + 0.5) * 2 * kPi / KittiDrive::kFirings;
+            kPi - (double(i % KittiDrive::kFirings) + 0.5) * 2 * kPi / KittiDrive::kFirings;
         ASSERT_LT(std::abs(std::remainder(azimuth - column_azimuth, 2 * kPi)), 0.03);
     }
 }
@@ -84,8 +84,7 @@ TEST(KittiRaw, WithoutEncoderTicksStepsAreEven) {
     EXPECT_EQ(log.frames[0].scan.count_returns(), even.n_points);
     log = load_sequence(jittered.folder.string(), {});
     EXPECT_NEAR(log.lidars[0].sensor.columns, KittiDrive::kFirings, 15);
-    EXPECT_GT(static_cast<double>(log.frames[0].scan.count_returns()),
-              0.99 * static_cast<double>(jittered.n_points));
+    EXPECT_GT(double(log.frames[0].scan.count_returns()), 0.99 * double(jittered.n_points));
 }
 
 TEST(KittiRaw, LaserWithoutReturnsInOneScan) {
@@ -101,7 +100,7 @@ TEST(KittiRaw, LaserWithoutReturnsInOneScan) {
     test::write_text(drive.scan(1), original.substr(end));
     const Scan scan = drive.load().frames[1].scan;
     EXPECT_EQ(scan.count_returns(), (original.size() - end) / 16);
-    for (int c = 0; c < KittiDrive::kFirings; ++c) EXPECT_EQ(scan.range_m[static_cast<std::size_t>(c)], 0.0f);
+    for (int c = 0; c < KittiDrive::kFirings; ++c) EXPECT_EQ(scan.range_m[std::size_t(c)], 0.0f);
 }
 
 /// Distance of a frame to the next one in Mercator coordinates: s R dlon with s = cos 60.
@@ -314,8 +313,7 @@ TEST_F(KittiRawReal, Drive) {
                     elevation_error, std::abs(scan.rays.direction[i].z - nominal.direction[i].z));
         }
         EXPECT_LT(elevation_error, 5e-4) << "frame " << frame.index;
-        const double returned =
-            static_cast<double>(scan.count_returns()) / static_cast<double>(scan.rays.size());
+        const double returned = double(scan.count_returns()) / double(scan.rays.size());
         EXPECT_GT(returned, 0.8);
         EXPECT_LT(returned, 0.95);
     }

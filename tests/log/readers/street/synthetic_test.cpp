@@ -99,7 +99,7 @@ TEST(Synthetic, MovingCarIsMetWhereItsSpeedPutsIt) {
     RayTable ahead = make_one_ray({1, 0, 0});
     EXPECT_NEAR(range_of(ahead, 0.2), kRear_m, 1e-5);
     EXPECT_NEAR(range_of(ahead, 0.2 + t), kRear_m + kSpeed_mps * t, 1e-5);
-    ahead.time_offset_s[0] = static_cast<float>(t);
+    ahead.time_offset_s[0] = float(t);
     EXPECT_NEAR(range_of(ahead, 0.2), kRear_m + kSpeed_mps * t, 1e-5);
 }
 
@@ -361,7 +361,7 @@ TEST(Synthetic, BoxesHoldTheReturnsOfTheMovingCars) {
     for (std::size_t f = 0; f < log.frames.size(); ++f) {
         const Scan &scan = log.frames[f].scan, &bare = empty.frames[f].scan;
         for (std::size_t i = 0; i < scan.range_m.size(); ++i) {
-            const double t = log.frames[f].time_s + static_cast<double>(scan.rays.time_offset_s[i]);
+            const double t = log.frames[f].time_s + double(scan.rays.time_offset_s[i]);
             const glm::dvec3 world = log.world_from_vehicle.interpolate_pose(t) *
                                      glm::dvec3(scan.compute_return_point_in_sensor_frame(i));
             const bool changed = scan.range_m[i] > 0.0f && scan.range_m[i] != bare.range_m[i];
