@@ -5,6 +5,7 @@
 #pragma once
 
 #include <cstdint>
+#include <span>
 #include <string>
 #include <vector>
 
@@ -105,6 +106,8 @@ void undo_motion_compensation(LidarPoints& points, const PoseTrack& world_from_s
 /// @throws DataError if the matrix is not a rotation within 1e-3
 Pose check_rotation_and_make_pose(const glm::dmat3& rotation, const glm::dvec3& translation,
                                   const std::string& error_location);
+/// @param matrix [3 x 4] or [4 x 4] row-major; ignores the last row
+Pose check_rotation_and_make_pose(std::span<const double> matrix, const std::string& error_location);
 
 /// Appends a frame with an empty scan, and the vehicle's pose at this time unless a frame
 /// of another LiDAR has added it.

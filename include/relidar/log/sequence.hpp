@@ -28,6 +28,10 @@ struct PoseTrack {
     std::vector<double> time_s;
     std::vector<Pose> pose;
 
+    void append(double at_s, const Pose& pose_at_s) {
+        time_s.push_back(at_s);
+        pose.push_back(pose_at_s);
+    }
     /// Returns the interpolated pose at a time (slerp for rotations, lerp for
     /// translations). Outside the track, the pose is extrapolated with the velocity of
     /// the nearest segment.

@@ -2,14 +2,15 @@
 #include "log/classes/dataset_classes.hpp"
 
 #include <algorithm>
-#include <span>
+#include <vector>
 
 namespace relidar {
 namespace {
 
-struct ClassNumberMapping {
-    int number;
+/// Numbers of classes in a dataset that are one class of relidar.
+struct ClassNumbers {
     SurfaceClass surface;
+    std::vector<int> numbers;
 };
 
 /// First characters of a class name in a dataset, and the matching class of relidar.
@@ -18,48 +19,32 @@ struct ClassPrefixMapping {
     SurfaceClass surface;
 };
 
-SurfaceClass find_class_by_number(std::span<const ClassNumberMapping> class_table, int class_number) {
-    const auto row = std::ranges::find(class_table, class_number, &ClassNumberMapping::number);
-    return row == class_table.end() ? SurfaceClass::unknown : row->surface;
+SurfaceClass find_class_by_number(const std::vector<ClassNumbers>& classes, int number) {
+    for (const auto& [surface, numbers] : classes)
+        if (std::ranges::find(numbers, number) != numbers.end()) return surface;
+    return SurfaceClass::unknown;
 }
 
 }  // namespace
 
 SurfaceClass convert_semantic_kitti_label(int label) {
     using enum SurfaceClass;
-    static constexpr ClassNumberMapping kClasses[] = {
-        {10, vehicle},       // car
-        {11, cyclist},       // bicycle
-        {13, vehicle},       // bus
-        {15, cyclist},       // motorcycle
-        {16, vehicle},       // on-rails
-        {18, vehicle},       // truck
-        {20, vehicle},       // other-vehicle
-        {30, person},        // person
-        {31, cyclist},       // bicyclist
-        {32, cyclist},       // motorcyclist
-        {40, road},          // road
-        {44, road},          // parking
-        {48, sidewalk},      // sidewalk
-        {49, other_ground},  // other-ground
-        {50, building},      // building
-        {51, fence},         // fence
-        {52, structure},     // other-structure
-        {60, road},          // lane-marking
-        {70, vegetation},    // vegetation
-        {71, vegetation},    // trunk
-        {72, terrain},       // terrain
-        {80, pole},          // pole
-        {81, sign},          // traffic-sign
-        {99, object},        // other-object
-        {252, vehicle},      // moving-car
-        {253, cyclist},      // moving-bicyclist
-        {254, person},       // moving-person
-        {255, cyclist},      // moving-motorcyclist
-        {256, vehicle},      // moving-on-rails
-        {257, vehicle},      // moving-bus
-        {258, vehicle},      // moving-truck
-        {259, vehicle},      // moving-other-vehicle
+    // Labels from 252 are moving objects.
+    static const std::vector<ClassNumbers> kClasses{
+        {road, {40, 44, 60}},                                      // road, parking, lane-marking
+        {vegetation, {70, 71}},                                    // vegetation, trunk
+        {building, {50}},                                          // building
+        {terrain, {72}},                                           // terrain
+        {sidewalk, {48}},                                          // sidewalk
+        {vehicle, {10, 13, 16, 18, 20, 252, 256, 257, 258, 259}},  // car, bus, on-rails, truck, other
+        {other_ground, {49}},                                      // other-ground
+        {fence, {51}},                                             // fence
+        {structure, {52}},                                         // other-structure
+        {pole, {80}},                                              // pole
+        {sign, {81}},                                              // traffic-sign
+        {object, {99}},                                            // other-object
+        {person, {30, 254}},                                       // person
+        {cyclist, {11, 15, 31, 32, 253, 255}},                     // bicycle, motorcycle, and their riders
     };
     return find_class_by_number(kClasses, label);
 }
@@ -90,29 +75,19 @@ SurfaceClass convert_nuscenes_class(std::string_view category) {
 
 SurfaceClass convert_waymo_class(int class_number) {
     using enum SurfaceClass;
-    static constexpr ClassNumberMapping kClasses[] = {
-        {1, vehicle},        // car
-        {2, vehicle},        // truck
-        {3, vehicle},        // bus
-        {4, vehicle},        // other vehicle
-        {5, cyclist},        // motorcyclist
-        {6, cyclist},        // bicyclist
-        {7, person},         // pedestrian
-        {8, sign},           // sign
-        {9, sign},           // traffic light
-        {10, pole},          // pole
-        {11, object},        // construction cone
-        {12, cyclist},       // bicycle
-        {13, cyclist},       // motorcycle
-        {14, building},      // building
-        {15, vegetation},    // vegetation
-        {16, vegetation},    // tree trunk
-        {17, sidewalk},      // kerb
-        {18, road},          // road
-        {19, road},          // lane marker
-        {20, other_ground},  // other ground
-        {21, terrain},       // walkable
-        {22, sidewalk},      // sidewalk
+    static const std::vector<ClassNumbers> kClasses{
+        {vehicle, {1, 2, 3, 4}},    // car, truck, bus, other vehicle
+        {road, {18, 19}},           // road, lane marker
+        {building, {14}},           // building
+        {vegetation, {15, 16}},     // vegetation, tree trunk
+        {sidewalk, {17, 22}},       // kerb, sidewalk
+        {other_ground, {20}},       // other ground
+        {terrain, {21}},            // walkable
+        {cyclist, {5, 6, 12, 13}},  // motorcyclist, bicyclist, bicycle, motorcycle
+        {person, {7}},              // pedestrian
+        {sign, {8, 9}},             // sign, traffic light
+        {pole, {10}},               // pole
+        {object, {11}},             // construction cone
     };
     return find_class_by_number(kClasses, class_number);
 }

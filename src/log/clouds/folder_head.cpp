@@ -78,8 +78,7 @@ Pose read_vehicle_from_sensor(const JsonField& field, const std::string& where) 
         if (std::max({std::abs(m[12]), std::abs(m[13]), std::abs(m[14]), std::abs(m[15] - 1.0)}) > 1e-6)
             fail("{}: found a matrix with the last row {} {} {} {}, expected 0 0 0 1 (transposed?)", where,
                  m[12], m[13], m[14], m[15]);
-        return check_rotation_and_make_pose(glm::dmat3(m[0], m[4], m[8], m[1], m[5], m[9], m[2], m[6], m[10]),
-                                            {m[3], m[7], m[11]}, where);
+        return check_rotation_and_make_pose(m, where);
     }
     field.require_only_known_members({"translation", "quaternion"});
     const auto t = field.at("translation").get_numbers<3>();

@@ -26,6 +26,12 @@ Pose check_rotation_and_make_pose(const glm::dmat3& rotation, const glm::dvec3& 
     return {glm::normalize(glm::quat_cast(rotation)), translation};
 }
 
+Pose check_rotation_and_make_pose(std::span<const double> matrix, const std::string& error_location) {
+    const auto& m = matrix;
+    return check_rotation_and_make_pose({m[0], m[4], m[8], m[1], m[5], m[9], m[2], m[6], m[10]},
+                                        {m[3], m[7], m[11]}, error_location);
+}
+
 LidarFrame& add_frame(LidarSequence& sequence, int frame_number, double time_s,
                       const Pose& world_from_vehicle, int lidar_index) {
     PoseTrack& track = sequence.world_from_vehicle;
@@ -55,8 +61,7 @@ std::vector<BoxTrack> build_tracks(const std::vector<BoxLabel>& labels) {
         const auto [known, is_new] = track_index_of_id.try_emplace(label.id, tracks.size());
         if (is_new) tracks.push_back({label.id, label.category, label.size_m, {}});
         PoseTrack& track = tracks[known->second].world_from_box;
-        track.time_s.push_back(label.time_s);
-        track.pose.push_back(label.world_from_box);
+        track.append(label.time_s, label.world_from_box);
     }
     return tracks;
 }

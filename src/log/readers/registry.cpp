@@ -256,8 +256,7 @@ void remove_all_except_named_lidars(LidarSequence& sequence, const std::vector<s
     for (LidarFrame& frame : sequence.frames) {
         frame.lidar = new_index_of_lidar[std::size_t(frame.lidar)];
         if (!track.time_s.empty() && track.time_s.back() == frame.time_s) continue;
-        track.time_s.push_back(frame.time_s);
-        track.pose.push_back(sequence.world_from_vehicle.interpolate_pose(frame.time_s));
+        track.append(frame.time_s, sequence.world_from_vehicle.interpolate_pose(frame.time_s));
     }
     sequence.lidars = std::move(remaining_lidars);
     sequence.world_from_vehicle = std::move(track);

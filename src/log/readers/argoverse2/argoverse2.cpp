@@ -122,8 +122,7 @@ PoseTrack read_poses_at_sweeps(const fs::path& pose_file, const std::vector<Swee
                 "{}, column 'timestamp_ns': found no pose at {}, which is the time of a sweep; expected "
                 "poses for all sweeps",
                 table.name(), sweep.time_ns);
-        at_sweeps.time_s.push_back(time_s);
-        at_sweeps.pose.push_back(trajectory.interpolate_pose(time_s));
+        at_sweeps.append(time_s, trajectory.interpolate_pose(time_s));
     }
     return at_sweeps;
 }

@@ -52,10 +52,7 @@ ForwardDirection read_forward_direction(const fs::path& calibration_file) {
     if (!m || m->size() != 16)
         fail("{}: found {}, expected 4 lines of 4 numbers", calibration_file.string(),
              m ? fmt::format("{} numbers", m->size()) : "a word that is not a number");
-    const auto& at = *m;
-    const glm::dmat3 rotation(at[0], at[4], at[8], at[1], at[5], at[9], at[2], at[6], at[10]);
-    const Pose applanix_from_lidar =
-        check_rotation_and_make_pose(rotation, {at[3], at[7], at[11]}, calibration_file.string());
+    const Pose applanix_from_lidar = check_rotation_and_make_pose(*m, calibration_file.string());
     return {inverse(applanix_from_lidar).rotation * glm::dvec3(0, 1, 0), true};
 }
 
@@ -84,8 +81,8 @@ PoseTrack make_lidar_pose_track(const std::vector<stamped::StampedPoseRow>& pose
             angle_convention.yaw_first
                 ? glm::conjugate(make_rotation(-sign * yaw_rad, -sign * pitch_rad, -sign * roll_rad))
                 : make_rotation(sign * yaw_rad, sign * pitch_rad, sign * roll_rad);
-        track.time_s.push_back(log.convert_stamp_to_seconds(row.stamp));
-        track.pose.push_back({enu_from_lidar, {position[0], position[1], position[2]}});
+        track.append(log.convert_stamp_to_seconds(row.stamp),
+                     {enu_from_lidar, {position[0], position[1], position[2]}});
     }
     return track;
 }

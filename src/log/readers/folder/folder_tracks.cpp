@@ -138,15 +138,8 @@ PoseRows parse_pose_rows(const std::vector<std::string>& lines, const std::strin
 template <class RotationOf>
 PoseTrack make_pose_track_of_rows(const PoseRows& pose_rows, const RotationOf& rotation_of_row) {
     PoseTrack track;
-    for (const std::vector<double>& row : pose_rows.rows) {
-        track.time_s.push_back(row[0]);
-        track.pose.push_back({glm::normalize(rotation_of_row(row)), {row[1], row[2], row[3]}});
-    }
-    return track;
-}
-
-PoseTrack invert_track(PoseTrack track) {
-    for (Pose& pose : track.pose) pose = inverse(pose);
+    for (const std::vector<double>& row : pose_rows.rows)
+        track.append(row[0], {glm::normalize(rotation_of_row(row)), {row[1], row[2], row[3]}});
     return track;
 }
 
@@ -154,9 +147,12 @@ PoseTrack invert_track(PoseTrack track) {
 std::vector<PoseInterpretation> append_inverse_interpretations(
     std::vector<PoseInterpretation> interpretations) {
     const std::size_t n = interpretations.size();
-    for (std::size_t k = 0; k < n; ++k)
-        interpretations.push_back({interpretations[k].about + ", from the world to the sensor",
-                                   invert_track(interpretations[k].world_from_vehicle), true});
+    for (std::size_t k = 0; k < n; ++k) {
+        PoseTrack track = interpretations[k].world_from_vehicle;
+        for (Pose& pose : track.pose) pose = inverse(pose);
+        interpretations.push_back(
+            {interpretations[k].about + ", from the world to the sensor", std::move(track), true});
+    }
     return interpretations;
 }
 
@@ -327,11 +323,9 @@ std::optional<std::vector<Pose>> read_frame_poses(const fs::path& pose_file,
     for (const SequenceHeaderFrame& frame : frames) numbers.push_back(frame.number);
     std::vector<Pose> poses = kitti::read_pose_matrices(pose_file, numbers);
     PoseTrack track;  // one pose per time; LiDARs of the same sweep share a pose
-    for (std::size_t i = 0; i < frames.size(); ++i) {
-        if (!track.time_s.empty() && frames[i].time_s == track.time_s.back()) continue;
-        track.time_s.push_back(frames[i].time_s);
-        track.pose.push_back(poses[i]);
-    }
+    for (std::size_t i = 0; i < frames.size(); ++i)
+        if (track.time_s.empty() || frames[i].time_s != track.time_s.back())
+            track.append(frames[i].time_s, poses[i]);
     const std::vector<PoseInterpretation> readings =
         append_inverse_interpretations({{"matrices", std::move(track)}});
     if (choose_pose_interpretation(readings, read_scan_pairs_for_pose_check, pose_file.string(), notes) > 0)

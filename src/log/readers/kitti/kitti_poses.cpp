@@ -55,9 +55,7 @@ std::vector<double> parse_finite_numbers(const std::string& line, std::size_t ex
 }
 
 Pose parse_pose_matrix(const std::string& line, const std::string& error_location) {
-    const std::vector<double> m = parse_finite_numbers(line, 12, error_location);
-    return check_rotation_and_make_pose(glm::dmat3(m[0], m[4], m[8], m[1], m[5], m[9], m[2], m[6], m[10]),
-                                        {m[3], m[7], m[11]}, error_location);
+    return check_rotation_and_make_pose(parse_finite_numbers(line, 12, error_location), error_location);
 }
 
 fs::path make_oxts_file_path(const fs::path& drive_folder, int frame_number) {

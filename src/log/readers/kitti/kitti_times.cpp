@@ -5,7 +5,7 @@
 #include "log/clouds/log_files.hpp"
 
 #include <algorithm>
-#include <array>
+#include <chrono>
 #include <cmath>
 #include <cstdint>
 #include <cstdio>
@@ -23,16 +23,6 @@ namespace relidar::kitti {
 namespace fs = std::filesystem;
 namespace {
 
-std::int64_t count_days_since_1970(int year, int month, int day) {
-    static constexpr std::array<int, 12> kBefore{0, 31, 59, 90, 120, 151, 181, 212, 243, 273, 304, 334};
-    const bool leap = year % 4 == 0 && (year % 100 != 0 || year % 400 == 0);
-    const int y = year - 1;
-    // before 1970
-    const std::int64_t leap_days = y / 4 - y / 100 + y / 400 - 477;
-    return 365ll * (year - 1970) + leap_days + kBefore[std::size_t(month - 1)] + (leap && month > 2) + day -
-           1;
-}
-
 /// Parses "YYYY-MM-DD HH:MM:SS.nnnnnnnnn". 64 bits reach up to the year 2261.
 std::int64_t parse_date_time_ns(const std::string& line, const std::string& error_location) {
     int year = 0, month = 0, day = 0, hour = 0, minute = 0, used = 0;
@@ -47,7 +37,8 @@ std::int64_t parse_date_time_ns(const std::string& line, const std::string& erro
     if (!sane)
         fail("{}: found '{}', expected YYYY-MM-DD HH:MM:SS.nnnnnnnnn between the years 1970 and 2199",
              error_location, shorten_for_error_message(line));
-    const std::int64_t minutes = (count_days_since_1970(year, month, day) * 24 + hour) * 60 + minute;
+    const std::chrono::sys_days date(std::chrono::year(year) / month / day);
+    const std::int64_t minutes = (date.time_since_epoch().count() * 24ll + hour) * 60 + minute;
     return minutes * 60'000'000'000ll + std::llround(*second * 1e9);
 }
 
@@ -97,7 +88,10 @@ std::vector<double> read_relative_frame_times_s(const fs::path& time_file,
 namespace {
 
 /// Throws if the median is not a plausible period.
-double compute_sweep_period_s(std::vector<double> sweep_durations_s, const fs::path& file) {
+double compute_sweep_period_s(std::vector<double> sweep_durations_s, const fs::path& file,
+                              const char* missing_lines) {
+    if (sweep_durations_s.empty())
+        fail("{}: found no {}, expected one line with a time for each sweep", file.string(), missing_lines);
     const double period_s = compute_median(std::move(sweep_durations_s));
     if (!(period_s > 0.01 && period_s < 1.0))
         fail("{}: a sweep lasts {:.6g} s from start to end, expected 0.01 to 1 s", file.string(), period_s);
@@ -111,29 +105,18 @@ double read_median_sweep_duration_s(const fs::path& drive_folder) {
     const auto start = read_timestamps_ns(drive_folder / "velodyne_points/timestamps_start.txt"),
                end = read_timestamps_ns(file);
     std::vector<double> lasts_s;
-    for (std::size_t i = 0; i < std::min(start.size(), end.size()); ++i) {
+    for (std::size_t i = 0; i < std::min(start.size(), end.size()); ++i)
         if (start[i] && end[i]) lasts_s.push_back(double(*end[i] - *start[i]) * 1e-9);
-    }
-    if (lasts_s.empty())
-        fail(
-            "{}: no sweep has a time both in this file and in timestamps_start.txt, expected one line with a "
-            "time for each sweep in both files",
-            file.string());
-    return compute_sweep_period_s(std::move(lasts_s), file);
+    return compute_sweep_period_s(std::move(lasts_s), file,
+                                  "sweep with a time both in this file and in timestamps_start.txt");
 }
 
 double read_median_time_step_s(const fs::path& time_file) {
     const auto time_ns = read_timestamps_ns(time_file);
     std::vector<double> lasts_s;
-    for (std::size_t i = 1; i < time_ns.size(); ++i) {
+    for (std::size_t i = 1; i < time_ns.size(); ++i)
         if (time_ns[i - 1] && time_ns[i]) lasts_s.push_back(double(*time_ns[i] - *time_ns[i - 1]) * 1e-9);
-    }
-    if (lasts_s.empty())
-        fail(
-            "{}: cannot compute the time between sweeps, because no two consecutive lines contain a time; "
-            "expected one line with a time for each sweep",
-            time_file.string());
-    return compute_sweep_period_s(std::move(lasts_s), time_file);
+    return compute_sweep_period_s(std::move(lasts_s), time_file, "two consecutive lines with times");
 }
 
 }  // namespace relidar::kitti

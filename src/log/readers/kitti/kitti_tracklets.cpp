@@ -59,8 +59,7 @@ BoxTrack read_world_box_track_of_tracklet(const pugi::xml_node& tracklet_item,
         ++frame;
         if (matching_frame == frame_numbers.end() || *matching_frame != frame - 1) continue;
         const std::size_t at = std::size_t(matching_frame - frame_numbers.begin());
-        track.world_from_box.time_s.push_back(world_from_sensor.time_s[at]);
-        track.world_from_box.pose.push_back(world_from_sensor.pose[at] * in_sensor);
+        track.world_from_box.append(world_from_sensor.time_s[at], world_from_sensor.pose[at] * in_sensor);
     }
     return track;
 }

@@ -118,13 +118,9 @@ void add_ring_and_time_fields(folder::PointTable& table, MulranPointOrder point_
 
 PoseTrack read_mulran_poses(const fs::path& pose_file, const stamped::StampedLog& log, Notes& notes) {
     PoseTrack track;
-    for (const stamped::StampedPoseRow& row : stamped::read_timestamped_number_rows(pose_file, 12)) {
-        const std::vector<double>& m = row.values;
-        track.time_s.push_back(log.convert_stamp_to_seconds(row.stamp));
-        track.pose.push_back(
-            check_rotation_and_make_pose(glm::dmat3(m[0], m[4], m[8], m[1], m[5], m[9], m[2], m[6], m[10]),
-                                         {m[3], m[7], m[11]}, row.where));
-    }
+    for (const stamped::StampedPoseRow& row : stamped::read_timestamped_number_rows(pose_file, 12))
+        track.append(log.convert_stamp_to_seconds(row.stamp),
+                     check_rotation_and_make_pose(row.values, row.where));
     const glm::dvec3 driven = stamped::estimate_driving_direction(track).mean;
     if (driven != glm::dvec3(0.0) && driven.x < kForward)
         notes.push_back(fmt::format(

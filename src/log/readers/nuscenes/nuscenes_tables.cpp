@@ -172,10 +172,7 @@ std::vector<Pose> read_ego_poses_of_sweeps(const fs::path& table_folder,
     }
     const auto seconds = [&](std::int64_t time_us) { return double(time_us - sweeps[0].time_us) * 1e-6; };
     PoseTrack track;
-    for (const auto& [time_us, pose] : by_time) {
-        track.time_s.push_back(seconds(time_us));
-        track.pose.push_back(pose);
-    }
+    for (const auto& [time_us, pose] : by_time) track.append(seconds(time_us), pose);
     std::vector<Pose> world_from_ego;
     for (const SweepRecord& sweep : sweeps)
         world_from_ego.push_back(track.interpolate_pose(seconds(sweep.time_us)));

@@ -97,8 +97,7 @@ PoseTrack make_lidar_track_in_dataset_axes(const std::vector<OncePose>& poses, c
         const auto& n = pose.numbers;
         const glm::dquat q =
             is_quaternion_w_first ? glm::dquat(n[0], n[1], n[2], n[3]) : glm::dquat(n[3], n[0], n[1], n[2]);
-        track.time_s.push_back(log.convert_stamp_to_seconds(pose.stamp));
-        track.pose.push_back({glm::normalize(q), {n[4], n[5], n[6]}});
+        track.append(log.convert_stamp_to_seconds(pose.stamp), {glm::normalize(q), {n[4], n[5], n[6]}});
     }
     return track;
 }

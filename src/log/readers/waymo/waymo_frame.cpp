@@ -69,8 +69,7 @@ Pose parse_transform(pbf_reader reader, const std::string& error_location) {
         fail("{}: found a transform of {} numbers, expected 16 numbers", error_location, m.size());
     for (const double value : m)
         require_finite_and_return_number(value, "a number of the transform", error_location);
-    return check_rotation_and_make_pose({m[0], m[4], m[8], m[1], m[5], m[9], m[2], m[6], m[10]},
-                                        {m[3], m[7], m[11]}, error_location);
+    return check_rotation_and_make_pose(m, error_location);
 }
 
 WaymoLidarCalibration parse_laser_calibration(pbf_reader reader, const std::string& error_location) {
