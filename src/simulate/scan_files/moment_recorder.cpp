@@ -60,11 +60,11 @@ SweepInterval find_sweep_interval(std::span<const RenderedScan> scans) {
     return all;
 }
 
-void require_storable_times(std::span<const RenderedScan> scans, std::int64_t time_shift_ns) {
+SweepInterval require_storable_times(std::span<const RenderedScan> scans, std::int64_t time_shift_ns) {
     const SweepInterval all = find_sweep_interval(scans);
     if (std::abs(scans[0].time_s) < 4e9 && make_time_stamp_ns(all.first_s, time_shift_ns) >= 0 &&
         make_time_stamp_ns(all.last_s, time_shift_ns) < kLatest_ns)
-        return;
+        return all;
     fail("cannot record a scan at {} s: found stamps from {:.3f} to {:.3f} s, expected 1970 to 2037",
          scans[0].time_s, all.first_s + 1e-9 * double(time_shift_ns),
          all.last_s + 1e-9 * double(time_shift_ns));
@@ -86,17 +86,16 @@ RecordedSweep SweepRecorder::convert_scans_to_recorded_sweep(std::span<const Ren
     if (scans.size() != sensors_.size())
         fail<UsageError>("cannot write a recording: found {} scans, expected {}, one for each sensor",
                          scans.size(), sensors_.size());
-    require_storable_times(scans, sensors_.front().time_shift_ns);
+    const SweepInterval all = require_storable_times(scans, sensors_.front().time_shift_ns);
     if (last_scan_s_ && scans[0].time_s < *last_scan_s_)
         fail("cannot write a recording: found a scan at {} s, expected times that do not decrease",
              scans[0].time_s);
     last_scan_s_ = scans[0].time_s;
-    const SweepInterval all = find_sweep_interval(scans);
     RecordedSweep moment{make_time_stamp_ns(all.first_s), make_time_stamp_ns(all.last_s), {}, {}, {}};
     std::vector<double> times_s;
     append_pose_sample_times(times_s, scans[0].track, all.first_s, all.last_s);
     for (std::size_t s = 0; s < scans.size(); ++s) {
-        const auto [first_s, last_s] = find_sweep_interval(scans.subspan(s, 1));
+        const auto [first_s, last_s] = scans.size() == 1 ? all : find_sweep_interval(scans.subspan(s, 1));
         times_s.push_back(first_s);
         times_s.push_back(last_s);
         moment.clouds.push_back(make_point_cloud(scans[s], sensors_[s], first_s));

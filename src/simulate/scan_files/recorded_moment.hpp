@@ -66,8 +66,9 @@ SweepInterval find_sweep_interval(std::span<const RenderedScan> scans);
 inline std::int64_t make_time_stamp_ns(double time_s, std::int64_t time_shift_ns) {
     return time_shift_ns + std::llround(1e9 * time_s);
 }
+/// @return find_sweep_interval(scans)
 /// @throws DataError if a time is before 1970 or after 2038
-void require_storable_times(std::span<const RenderedScan> scans, std::int64_t time_shift_ns);
+SweepInterval require_storable_times(std::span<const RenderedScan> scans, std::int64_t time_shift_ns);
 
 struct RecordedCloud {
     std::uint64_t stamp_ns;  ///< firing time of the first ray
