@@ -6,10 +6,12 @@
 #include <fstream>
 #include <string>
 
-#include <gtest/gtest.h>
+#include <gmock/gmock.h>
 
 #include <relidar/base/error.hpp>
 #include <relidar/log/sensor_files.hpp>
+
+#include "support/names.hpp"
 
 namespace relidar::test {
 
@@ -34,9 +36,9 @@ inline std::string message(const std::string& sensor) {
     return "";
 }
 
-/// Returns the message of the error of a sensor file with this text.
-inline std::string message_of(const std::string& name, const std::string& text) {
-    return message(write(name, text));
+/// Checks the message of the error of a sensor file with this text, see Names().
+inline void expect_message(const std::string& name, const std::string& text, const std::string& parts) {
+    EXPECT_THAT(message(write(name, text)), Names(parts));
 }
 
 }  // namespace relidar::test

@@ -66,9 +66,8 @@ std::vector<std::string> list_dataset_kind_names() {
 }
 
 const DatasetKind& find_dataset_kind(const std::string& kind_name) {
-    for (const DatasetKind& kind : kKinds) {
+    for (const DatasetKind& kind : kKinds)
         if (kind_name == kind.name) return kind;
-    }
     fail<UsageError>("the dataset kind '{}' is unknown{} (known: {})", kind_name,
                      format_name_suggestion(kind_name, list_dataset_kind_names(), "'"),
                      fmt::join(list_dataset_kind_names(), ", "));

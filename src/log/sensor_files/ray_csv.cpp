@@ -86,13 +86,12 @@ SensorModel parse_ray_csv(const std::string& csv_text, const std::string& sensor
         const std::string line = fmt::format("{} line {}", error_location, l + 1);
         const RayCsvRow v = parse_ray_line(lines[l], at, header.size(), line);
         if (rays.time_s.empty()) first = v;
-        for (const RayCsvField f : kOfSensor) {
+        for (const RayCsvField f : kOfSensor)
             if (v[f] != first[f])
                 fail(
                     "{}: {} is {}, expected {} like in the first line; this column needs one value for all "
                     "rays",
                     line, kNames[f], v[f], first[f]);
-        }
         append_ray_row(rays, v);
     }
     rays.columns = int(std::min(rays.time_s.size(), kMaxRays + 1));

@@ -15,8 +15,8 @@
 namespace relidar {
 namespace {
 
+using test::expect_message;
 using test::message;
-using test::message_of;
 using test::Names;
 using test::write;
 
@@ -128,19 +128,16 @@ TEST(KnownSensors, CsvTableHoldsRangeLimits) {
     EXPECT_DOUBLE_EQ(limited.min_range_m, 0.5);
     EXPECT_DOUBLE_EQ(limited.max_range_m, 30.0);
     EXPECT_DOUBLE_EQ(spinning(write("plain.csv", "elevation_deg\n5\n")).max_range_m, 80.0);
-    EXPECT_THAT(message_of("g.csv", "elevation_deg,max_range_m\n5,30\n-5,40\n"),
-                Names("line 3 ... 0 to 40 m ... 0 to 30 m"));
-    EXPECT_THAT(message_of("h.csv", "elevation_deg,min_range_m,max_range_m\n5,30,30\n"),
-                Names("min_range_m below max_range_m"));
-    EXPECT_THAT(message_of("i.csv", "elevation_deg,max_range_m\n5,-1\n"),
-                Names("max_range_m ... '-1' ... [0, 10000]"));
+    expect_message("g.csv", "elevation_deg,max_range_m\n5,30\n-5,40\n", "line 3 ... 0 to 40 m ... 0 to 30 m");
+    expect_message("h.csv", "elevation_deg,min_range_m,max_range_m\n5,30,30\n",
+                   "min_range_m below max_range_m");
+    expect_message("i.csv", "elevation_deg,max_range_m\n5,-1\n", "max_range_m ... '-1' ... [0, 10000]");
 }
 
 TEST(KnownSensors, ColumnsThatAreNotKnownAreErrors) {
-    EXPECT_THAT(message_of("j.csv", "elevation_deg,azimuth_ofset_deg\n5,1\n"),
-                Names("j.csv line 1 ... 'azimuth_ofset_deg' ... 'azimuth_offset_deg'"));
-    EXPECT_THAT(message_of("k.csv", "elevation_deg,elevation_deg\n5,1\n"),
-                Names("'elevation_deg' ... twice"));
+    expect_message("j.csv", "elevation_deg,azimuth_ofset_deg\n5,1\n",
+                   "j.csv line 1 ... 'azimuth_ofset_deg' ... 'azimuth_offset_deg'");
+    expect_message("k.csv", "elevation_deg,elevation_deg\n5,1\n", "'elevation_deg' ... twice");
 }
 
 TEST(KnownSensors, SizesThatNoSensorHasAreRefused) {
@@ -155,13 +152,12 @@ TEST(KnownSensors, SizesThatNoSensorHasAreRefused) {
 
 TEST(KnownSensors, WrongTablesAreNamed) {
     EXPECT_THAT(message("/nowhere/beams.csv"), Names("/nowhere/beams.csv: no such file"));
-    EXPECT_THAT(message_of("a.csv", "channel\n1\n"), Names("a.csv ... column 'elevation_deg'"));
-    EXPECT_THAT(message_of("b.csv", "elevation_deg\n1\nabc\n"),
-                Names("b.csv line 3: elevation_deg is 'abc'"));
-    EXPECT_THAT(message_of("c.csv", "elevation_deg\nnan\n"), Names("'nan'"));
-    EXPECT_THAT(message_of("d.csv", "elevation_deg\n1\n2\n"), Names("highest ... lowest"));
-    EXPECT_THAT(message_of("e.csv", "elevation_deg,channel\n1\n"), Names("1 values, expected 2"));
-    EXPECT_THAT(message_of("f.csv", "elevation_deg\n"), Names("beams"));
+    expect_message("a.csv", "channel\n1\n", "a.csv ... column 'elevation_deg'");
+    expect_message("b.csv", "elevation_deg\n1\nabc\n", "b.csv line 3: elevation_deg is 'abc'");
+    expect_message("c.csv", "elevation_deg\nnan\n", "'nan'");
+    expect_message("d.csv", "elevation_deg\n1\n2\n", "highest ... lowest");
+    expect_message("e.csv", "elevation_deg,channel\n1\n", "1 values, expected 2");
+    expect_message("f.csv", "elevation_deg\n", "beams");
     EXPECT_THAT(message(write("f.csv", "elevation_deg\n1\n") + ":0"), Names("1 to 1000000 columns"));
 }
 

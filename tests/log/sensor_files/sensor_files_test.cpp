@@ -21,8 +21,8 @@
 namespace relidar {
 namespace {
 
+using test::expect_message;
 using test::message;
-using test::message_of;
 using test::Names;
 using test::path_of;
 using test::write;
@@ -102,14 +102,15 @@ TEST(SensorFiles, BeamsMayDivergeEachByItself) {
     const auto bad = [](const std::string& file, const std::string& why) {
         EXPECT_THAT(message(file), Names(why));
     };
-    bad(write("a.csv", "azimuth_deg,elevation_deg,divergence_mrad\n0,0,2\n90,0,-1\n"),
-        "entry 1 of divergence (radians) is -0.001");
-    bad(write("b.csv", "azimuth_deg,elevation_deg,divergence_mrad\n0,0,2\n90,0,nan\n"),
-        "line 3: divergence_mrad is 'nan'");
+    expect_message("a.csv", "azimuth_deg,elevation_deg,divergence_mrad\n0,0,2\n90,0,-1\n",
+                   "entry 1 of divergence (radians) is -0.001");
+    expect_message("b.csv", "azimuth_deg,elevation_deg,divergence_mrad\n0,0,2\n90,0,nan\n",
+                   "line 3: divergence_mrad is 'nan'");
     bad(npz("c.npz", {2e-3f, std::nanf(""), 0.0f}), "entry 1 of divergence (radians) is nan");
     bad(npz("d.npz", {2e-3f, -1e-3f, 0.0f}), "entry 1 of divergence (radians) is -0.001");
     bad(npz("e.npz", {2e-3f, 1e-3f}), "divergence has 2 numbers, expected 3");
-    bad(write("f.json", R"({"directions": [[1,0,0]], "divergence": [0.002], "divergence_mrad": 2})"), "both");
+    expect_message("f.json", R"({"directions": [[1,0,0]], "divergence": [0.002], "divergence_mrad": 2})",
+                   "both");
 }
 
 /// Computes a point with the equation of Ouster's manual, in the sensor's frame without
@@ -143,7 +144,7 @@ TEST(SensorFiles, OustersMetadataMakesOustersPoints) {
         ASSERT_EQ(spinning.columns, 512);
         EXPECT_DOUBLE_EQ(spinning.period_s, 0.05);
         EXPECT_DOUBLE_EQ(spinning.max_range_m, 120.0);
-        for (int beam = 0; beam < 3; ++beam) {
+        for (int beam = 0; beam < 3; ++beam)
             for (const int m : {0, 1, 100, 511}) {
                 const double head = spinning.first_azimuth_rad - 2.0 * kPi * m / 512.0;
                 const BeamRay ray = compute_beam_ray(spinning.beams[std::size_t(beam)], head);
@@ -152,7 +153,6 @@ TEST(SensorFiles, OustersMetadataMakesOustersPoints) {
                 EXPECT_LT(glm::length(ray.origin_m + (30.0 - offset_m) * ray.direction - expected), 1e-9)
                     << beam << " " << m;
             }
-        }
     }
     EXPECT_EQ(std::get<SpinningSensor>(find_sensor(old + ":1024x10").pattern).columns, 1024);
 }
@@ -186,44 +186,33 @@ TEST(SensorFiles, SpinningSensorsByNameTakeColumnsAndRate) {
 
 TEST(SensorFiles, WrongFilesAreNamed) {
     EXPECT_THAT(message(path_of("missing.npz")), Names("missing.npz"));
-    EXPECT_THAT(message_of("a.csv", "azimuth_deg,elevation_deg\n0,nan\n"),
-                Names("a.csv line 2: elevation_deg is 'nan'"));
-    EXPECT_THAT(message_of("b.csv", "azimuth_deg,elevation_deg\n"), Names("b.csv: found 0 rays"));
-    EXPECT_THAT(message_of("c.csv", "azimuth_deg,elevation_deg,wavelength\n1,1,905\n"),
-                Names("column 'wavelength' ... unknown"));
-    EXPECT_THAT(message_of("d.csv", "azimuth_deg,elevation_deg,max_range_m\n1,1,50\n1,1,60\n"),
-                Names("d.csv line 3: max_range_m is 60, expected 50"));
-    EXPECT_THAT(message_of("e.csv", "azimuth_deg,time_s\n1,1\n"),
-                Names("azimuth_deg or elevation_deg ... missing"));
-    EXPECT_THAT(message_of("a.json", "{\"directions\": [[1,0,0],[0,2,0]]}"),
-                Names("entry 1 of directions ... 2 ... 1"));
-    EXPECT_THAT(message_of("n.json", R"({"directions": [[1,0,0]], "times": [0]})"),
-                Names("'times' ... directions, origin, time, ring"));
-    EXPECT_THAT(message_of("o.json", R"({"window": {}, "max_range_m": 50})"),
-                Names("'max_range_m' ... window"));
-    EXPECT_THAT(message_of("b.json", "{\"directions\": [[1,0,0]], \"time\": [1,2]}"),
-                Names("time ... 2 numbers ... 1"));
-    EXPECT_THAT(message_of("c.json", "{\"directions\": [[1,0,\"x\"]]}"),
-                Names("directions ... string ... numbers"));
+    expect_message("a.csv", "azimuth_deg,elevation_deg\n0,nan\n", "a.csv line 2: elevation_deg is 'nan'");
+    expect_message("b.csv", "azimuth_deg,elevation_deg\n", "b.csv: found 0 rays");
+    expect_message("c.csv", "azimuth_deg,elevation_deg,wavelength\n1,1,905\n",
+                   "column 'wavelength' ... unknown");
+    expect_message("d.csv", "azimuth_deg,elevation_deg,max_range_m\n1,1,50\n1,1,60\n",
+                   "d.csv line 3: max_range_m is 60, expected 50");
+    expect_message("e.csv", "azimuth_deg,time_s\n1,1\n", "azimuth_deg or elevation_deg ... missing");
+    expect_message("a.json", "{\"directions\": [[1,0,0],[0,2,0]]}", "entry 1 of directions ... 2 ... 1");
+    expect_message("n.json", R"({"directions": [[1,0,0]], "times": [0]})",
+                   "'times' ... directions, origin, time, ring");
+    expect_message("o.json", R"({"window": {}, "max_range_m": 50})", "'max_range_m' ... window");
+    expect_message("b.json", "{\"directions\": [[1,0,0]], \"time\": [1,2]}", "time ... 2 numbers ... 1");
+    expect_message("c.json", "{\"directions\": [[1,0,\"x\"]]}", "directions ... string ... numbers");
     EXPECT_THAT(message(write("d.json", "{\"directions\": " + std::string(50'000, '[') +
                                             std::string(50'000, ']') + "}")),
                 Names("nested"));
-    EXPECT_THAT(message_of("e.json", "[1,"), Names("e.json ... JSON"));
-    EXPECT_THAT(
-        message_of("f.json", "{}"),
-        Names(
-            "\"spinning\", \"window\", \"rosette\", \"rays\", \"directions\" ... \"beam_altitude_angles\""));
-    EXPECT_THAT(
-        message(
-            write("g.json",
-                  R"({"beam_altitude_angles": [1], "beam_azimuth_angles": [1,2], "lidar_mode": "512x10"})")),
-        Names("found 1 beam_altitude_angles and 2 beam_azimuth_angles"));
-    EXPECT_THAT(
-        message(write("h.json",
-                      R"({"beam_altitude_angles": [1], "beam_azimuth_angles": [1], "lidar_mode": "fast"})")),
-        Names("lidar_mode is \"fast\""));
-    EXPECT_THAT(message_of("i.json", R"({"directions": [[1,0,0]], "time": [1e300]})"),
-                Names("entry 0 of time ... 1e+300"));
+    expect_message("e.json", "[1,", "e.json ... JSON");
+    expect_message(
+        "f.json", "{}",
+        "\"spinning\", \"window\", \"rosette\", \"rays\", \"directions\" ... \"beam_altitude_angles\"");
+    expect_message("g.json",
+                   R"({"beam_altitude_angles": [1], "beam_azimuth_angles": [1,2], "lidar_mode": "512x10"})",
+                   "found 1 beam_altitude_angles and 2 beam_azimuth_angles");
+    expect_message("h.json",
+                   R"({"beam_altitude_angles": [1], "beam_azimuth_angles": [1], "lidar_mode": "fast"})",
+                   "lidar_mode is \"fast\"");
+    expect_message("i.json", R"({"directions": [[1,0,0]], "time": [1e300]})", "entry 0 of time ... 1e+300");
     write_npz(path_of("a.npz"), {make_single_text_array("name", "x")});
     EXPECT_THAT(message(path_of("a.npz")), Names("array \"directions\" ... missing"));
 }
@@ -248,18 +237,15 @@ TEST(SensorFiles, WhatSweepsIsDescribedInAFewNumbers) {
     EXPECT_EQ(make_rays(flower).size(), 100u);
     EXPECT_NE(make_rays(flower, 0.0).direction, make_rays(flower, 0.1).direction);
     EXPECT_EQ(flower.limits.max_m, 80.0);
-    EXPECT_THAT(message_of("j.json", R"({"window": {"rows": 3}})"), Names("window.columns ... missing"));
-    EXPECT_THAT(message_of("k.json", R"({"rosette": {"rays": 5, "petals": 3}})"), Names("'petals'"));
-    EXPECT_THAT(
-        message(
-            write("l.json",
-                  R"({"window": {"rows": 60000, "columns": 60000, "left_deg": 1, "right_deg": 0, "top_deg": 1,
-        "bottom_deg": 0}})")),
-        Names("60000 rows x 60000 columns"));
-    EXPECT_THAT(
-        message_of("m.json", R"({"rosette": {"rays": 5, "deflection_deg": 3, "first_hz": 1, "second_hz": 1,
-        "min_range_m": 90}})"),
-        Names("expected min_range_m < max_range_m"));
+    expect_message("j.json", R"({"window": {"rows": 3}})", "window.columns ... missing");
+    expect_message("k.json", R"({"rosette": {"rays": 5, "petals": 3}})", "'petals'");
+    expect_message(
+        "l.json", R"({"window": {"rows": 60000, "columns": 60000, "left_deg": 1, "right_deg": 0, "top_deg": 1,
+        "bottom_deg": 0}})",
+        "60000 rows x 60000 columns");
+    expect_message("m.json", R"({"rosette": {"rays": 5, "deflection_deg": 3, "first_hz": 1, "second_hz": 1,
+        "min_range_m": 90}})",
+                   "expected min_range_m < max_range_m");
 }
 
 TEST(Rigs, SensorsAreMountedAsTheFileSays) {
@@ -313,10 +299,9 @@ TEST(SensorFiles, EveryKindReadsBackToTheSameBits) {
             EXPECT_EQ(summarise_scan_pattern(read.pattern).n_rays, b.size());
         }
     }
-    EXPECT_THAT(message_of("p.json", R"({"spinning": {"columns": 90}})"), Names("beams"));
-    EXPECT_THAT(
-        message_of("q.json", R"({"window": {"rows": 1, "columns": 1, "left_deg": 1, "left_rad": 1}})"),
-        Names("left_deg and left_rad"));
+    expect_message("p.json", R"({"spinning": {"columns": 90}})", "beams");
+    expect_message("q.json", R"({"window": {"rows": 1, "columns": 1, "left_deg": 1, "left_rad": 1}})",
+                   "left_deg and left_rad");
 }
 
 TEST(SensorFiles, RangeOfAFileThatGivesNoneIsTheCallers) {
@@ -335,8 +320,7 @@ TEST(SensorFiles, RangeOfAFileThatGivesNoneIsTheCallers) {
         const auto* spinning = std::get_if<SpinningSensor>(&sensor.pattern);
         EXPECT_TRUE(!spinning || spinning->max_range_m == 250.0) << file;
     }
-    EXPECT_THAT(message_of("beyond.csv", "elevation_deg,min_range_m\n5,90\n"),
-                Names("expected min_range_m < max_range_m"));
+    expect_message("beyond.csv", "elevation_deg,min_range_m\n5,90\n", "expected min_range_m < max_range_m");
     EXPECT_EQ(find_sensor("VLP-16", {}, 250.0).limits.max_m, find_sensor("VLP-16").limits.max_m)
         << "a data sheet gives a limit";
 }

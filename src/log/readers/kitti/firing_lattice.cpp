@@ -35,7 +35,7 @@ struct BeamPolarPoints {
 std::array<BeamPolarPoints, kRings> convert_far_points_to_polar_by_ring(
     const std::vector<const ScanWithRings*>& scans) {
     std::array<BeamPolarPoints, kRings> polar;
-    for (const ScanWithRings* scan : scans) {
+    for (const ScanWithRings* scan : scans)
         for (std::size_t i = 0; i < scan->points.size(); ++i) {
             const glm::dvec4 p(scan->points[i]);
             const double rho = std::hypot(p.x, p.y);
@@ -45,7 +45,6 @@ std::array<BeamPolarPoints, kRings> convert_far_points_to_polar_by_ring(
             polar[scan->ring[i]].azimuth_rad.push_back(std::atan2(p.y, p.x));
             polar[scan->ring[i]].inverse_rho.push_back(1.0 / rho);
         }
-    }
     return polar;
 }
 
@@ -138,22 +137,20 @@ TickGridPhasesByRing fit_encoder_tick_phase_of_each_ring(
 /// contain dropped rays.
 int estimate_firings_per_revolution(const std::vector<const ScanWithRings*>& scans) {
     std::vector<double> steps;
-    for (const ScanWithRings* scan : scans) {
+    for (const ScanWithRings* scan : scans)
         for (std::size_t i = 1; i < scan->points.size(); ++i) {
             const glm::dvec4 a(scan->points[i - 1]), b(scan->points[i]);
             const double step = std::atan2(a.x * b.y - a.y * b.x, a.x * b.x + a.y * b.y);
             if (scan->ring[i] == scan->ring[i - 1] && step > 1e-5) steps.push_back(step);
         }
-    }
     if (steps.empty()) return 1;
     const double longest = 1.5 * compute_median(steps);
     double sum = 0.0, n = 0.0;
-    for (const double s : steps) {
+    for (const double s : steps)
         if (s < longest) {
             sum += s;
             n += 1.0;
         }
-    }
     return std::max(int(std::lround(2.0 * kPi * n / sum)), 1);
 }
 
@@ -181,11 +178,10 @@ std::vector<std::vector<char>> flag_ticks_with_returns_of_enough_beams(
     int n_ticks, int min_beams) {
     std::vector<std::vector<char>> pattern;
     for (const EncoderTicksByBeam& scan : ticks_of_scans) {
-        std::vector<int> count(std::size_t(n_ticks));
-        for (std::size_t k = 0; k < kRings; ++k) {
+        std::vector<int> count(static_cast<std::size_t>(n_ticks));
+        for (std::size_t k = 0; k < kRings; ++k)
             for (const int t : scan[k])
                 ++count[std::size_t(((t - tick_shift_of_each_beam[k]) % n_ticks + n_ticks) % n_ticks)];
-        }
         std::vector<char>& yes = pattern.emplace_back(std::size_t(n_ticks));
         for (std::size_t t = 0; t < count.size(); ++t) yes[t] = count[t] >= min_beams;
     }
@@ -211,12 +207,11 @@ int find_encoder_tick_offset_of_ring(const std::vector<EncoderTicksByBeam>& tick
     for (int i = 0; i <= 2 * max_shift; ++i) {
         const int shift = i % 2 == 0 ? i / 2 : -(i + 1) / 2;
         std::size_t hits = 0;
-        for (std::size_t s = 0; s < ticks_of_scans.size(); ++s) {
+        for (std::size_t s = 0; s < ticks_of_scans.size(); ++s)
             for (const int t : ticks_of_scans[s][ring]) {
                 const int moved = wrap_encoder_tick(t - shift, n_ticks);
                 hits += std::size_t(is_tick_fired[s][std::size_t(moved)]);
             }
-        }
         if (i == 0) at_zero = hits;
         if (hits > most) {
             most = hits;
@@ -230,15 +225,12 @@ std::vector<int> find_tick_shift_of_each_ring(const std::vector<EncoderTicksByBe
                                               int n_ticks) {
     const int reach = std::min(int(kMaxOffset_rad / (2.0 * kPi) * n_ticks), n_ticks / 2 - 1);
     std::size_t fullest = 0;
-    for (std::size_t k = 1; k < kRings; ++k) {
+    for (std::size_t k = 1; k < kRings; ++k)
         if (ticks_of_scans[0][k].size() > ticks_of_scans[0][fullest].size()) fullest = k;
-    }
     std::vector<EncoderTicksByBeam> reference = ticks_of_scans;
-    for (EncoderTicksByBeam& scan : reference) {
-        for (std::size_t k = 0; k < kRings; ++k) {
+    for (EncoderTicksByBeam& scan : reference)
+        for (std::size_t k = 0; k < kRings; ++k)
             if (k != fullest) scan[k].clear();
-        }
-    }
     std::vector<int> shift(kRings, 0);
     auto pattern = flag_ticks_with_returns_of_enough_beams(reference, shift, n_ticks, 1);
     // Pass 1 aligns all beams with the beam that has the most points, pass 2 with the
@@ -303,9 +295,8 @@ std::vector<int> find_fired_encoder_ticks(const ScanWithRings& scan, const BeamF
         {compute_encoder_ticks_per_beam(scan, firing_grid)}, std::vector<int>(kRings, 0),
         firing_grid.head.n_ticks, kMinLasers);
     std::vector<int> firings;
-    for (int t = 0; t < firing_grid.head.n_ticks; ++t) {
+    for (int t = 0; t < firing_grid.head.n_ticks; ++t)
         if (firing_grid.every_tick || pattern[0][std::size_t(t)]) firings.push_back(t);
-    }
     std::sort(firings.begin(), firings.end(), [&](int first, int second) {
         return firing_grid.head.compute_azimuth_of_encoder_tick_rad(first) >
                firing_grid.head.compute_azimuth_of_encoder_tick_rad(second);

@@ -108,9 +108,8 @@ void estimate_missing_beam_cones(BeamCones& cones,
                                  const std::string& error_location) {
     for (std::size_t first : {std::size_t{0}, std::size_t{kRings / 2}}) {
         std::vector<std::size_t> good;
-        for (std::size_t k = first; k < first + kRings / 2; ++k) {
+        for (std::size_t k = first; k < first + kRings / 2; ++k)
             if (cones[k].n > 0) good.push_back(k);
-        }
         if (good.size() < 2)
             throw DataError(error_location +
                             ": fewer than two beams of a block of 32 beams have enough returns, expected a "
@@ -195,7 +194,7 @@ BeamCones fit_cone_of_each_ring(const std::vector<const ScanWithRings*>& scans,
 
 void correct_ring_numbers(ScanWithRings& scan, const BeamCones& cones) {
     const std::size_t n = scan.points.size();
-    if (scan.n_rings != kRings && scan.n_rings != kRings + 1) {
+    if (scan.n_rings != kRings && scan.n_rings != kRings + 1)
         for (std::size_t begin = 0; begin < n;) {
             std::size_t end = begin + 1;
             while (end < n && scan.ring[end] == scan.ring[begin]) ++end;
@@ -204,7 +203,6 @@ void correct_ring_numbers(ScanWithRings& scan, const BeamCones& cones) {
                       scan.ring.begin() + static_cast<std::ptrdiff_t>(end), ring);
             begin = end;
         }
-    }
     for (std::size_t i = 1; i < n; ++i) {
         const glm::dvec4 p(scan.points[i]);
         if (p.y != 0.0 || scan.ring[i] == scan.ring[i - 1]) continue;

@@ -47,10 +47,9 @@ std::vector<double> parse_finite_numbers(const std::string& line, std::size_t ex
         fail("{}: found a word that is not a number, expected {} numbers", error_location, expected_count);
     if (numbers->size() != expected_count)
         fail("{}: found {} numbers, expected {}", error_location, numbers->size(), expected_count);
-    for (std::size_t i = 0; i < expected_count; ++i) {
+    for (std::size_t i = 0; i < expected_count; ++i)
         if (!std::isfinite((*numbers)[i]))
             fail("{}: number {} is {}, expected a finite value", error_location, i + 1, (*numbers)[i]);
-    }
     return *numbers;
 }
 
@@ -81,12 +80,11 @@ Pose read_imu_pose_from_oxts(const fs::path& oxts_file, std::optional<double>& m
 /// requested frames.
 int find_first_oxts_frame(const fs::path& drive_folder) {
     const fs::path folder = drive_folder / "oxts/data";
-    if (does_path_exist(folder)) {
+    if (does_path_exist(folder))
         for (const fs::path& file : list_folder_entries(folder)) {
             const auto number = parse_file_stem_as_number(file.stem().string());
             if (file.extension() == ".txt" && number) return *number;
         }
-    }
     fail(
         "{}: the OXTS files (0000000000.txt) are missing, so the drive has no poses; use dataset.poses=FILE, "
         "or dataset.poses=none to estimate the poses from the scans",

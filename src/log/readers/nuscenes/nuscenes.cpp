@@ -121,11 +121,10 @@ std::vector<BoxTrack> make_box_tracks_at_frame_times(const std::vector<BoxLabel>
     for (const BoxTrack& labelled : build_tracks(labels)) {
         BoxTrack box{labelled.id, labelled.category, labelled.size_m, {}};
         const PoseTrack& track = labelled.world_from_box;
-        for (const double time_s : frame_times_s) {
+        for (const double time_s : frame_times_s)
             if (time_s >= track.time_s.front() - max_extrapolation_s &&
                 time_s <= track.time_s.back() + max_extrapolation_s)
                 box.world_from_box.append(time_s, track.interpolate_pose(time_s));
-        }
         if (!box.world_from_box.pose.empty()) boxes.push_back(std::move(box));
     }
     return boxes;

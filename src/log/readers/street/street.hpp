@@ -127,3 +127,10 @@ private:
 };
 
 }  // namespace relidar::street
+
+namespace relidar {
+
+/// Generates the frames [begin_frame, end_frame) of a log.
+LidarSequence make_synthetic_frames(const SyntheticOptions& options, int begin_frame, int end_frame);
+
+}  // namespace relidar

@@ -6,7 +6,6 @@
 //   P(drop) = 1 / (1 + (s / s0)^3),  s0 = 0.01
 // A hash of seed, frame and ray decides which rays are dropped, so that the log is
 // reproducible.
-#include "log/readers/street/synthetic.hpp"
 
 #include <cmath>
 #include <limits>

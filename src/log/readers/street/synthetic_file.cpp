@@ -2,7 +2,6 @@
 // Reads and writes street.toml. This file has one key for each option of a synthetic log.
 // If a key is missing, the option has its default value. An unknown key is an error.
 #include "base/fail.hpp"
-#include "log/readers/street/synthetic.hpp"
 
 #include <algorithm>
 #include <fstream>
@@ -18,29 +17,26 @@
 #include "base/toml_depth.hpp"
 #include "log/clouds/log_files.hpp"
 #include "log/readers/readers.hpp"
+#include "log/readers/street/street.hpp"
 
 namespace relidar {
 namespace {
 
 namespace fs = std::filesystem;
 
-const std::vector<std::string> kKeys{"seed",      "n_frames",    "rows",   "columns", "range_noise_m",
-                                     "speed_mps", "moving_cars", "people", "gait",    "rig"};
-
-/// Accepts an integer as a real number.
-/// @throws DataError for another type
-template <class T>
-void read_toml_value_if_present(const toml::table& table, const char* key, const char* expected_type_text,
-                                const std::string& file_name, T& value) {
-    const toml::node* node = table.get(key);
-    if (!node) return;
-    // toml++ converts real numbers to integers without an error.
-    const bool is_cut = std::is_integral_v<T> && node->is_floating_point();
-    const auto parsed_value = is_cut ? std::nullopt : node->value<T>();
-    if (!parsed_value)
-        fail("{} line {}: {} has the wrong type or size, expected {}", file_name, node->source().begin.line,
-             key, expected_type_text);
-    value = *parsed_value;
+/// Calls visit(key, option, type) for each option of street.toml.
+template <class Options, class Visit>
+void visit_street_options(Options& options, const Visit& visit) {
+    visit("seed", options.seed, "a whole number");
+    visit("n_frames", options.n_frames, "a whole number");
+    visit("rows", options.rows, "a whole number");
+    visit("columns", options.columns, "a whole number");
+    visit("range_noise_m", options.range_noise_m, "a number");
+    visit("speed_mps", options.speed_mps, "a number");
+    visit("moving_cars", options.moving_cars, "true or false");
+    visit("people", options.people, "true or false");
+    visit("gait", options.gait, "true or false");
+    visit("rig", options.rig, "a file");
 }
 
 /// Keeps the scans. Used to test the effect of wrong poses.
@@ -71,26 +67,28 @@ SyntheticOptions read_street_toml(const fs::path& toml_file) {
         fail("{} line {}: malformed TOML: {}", file, error.source().begin.line,
              shorten_for_error_message(error.description()));
     }
+    SyntheticOptions options;
+    std::vector<std::string> keys;
+    visit_street_options(options, [&]<class T>(const char* key, T& option, const char* type) {
+        keys.emplace_back(key);
+        const toml::node* node = table.get(key);
+        if (!node) return;
+        using Stored = std::conditional_t<std::is_same_v<T, std::uint64_t>, std::int64_t, T>;
+        // toml++ converts real numbers to integers without an error.
+        const bool is_cut = std::is_integral_v<T> && node->is_floating_point();
+        const auto value = is_cut ? std::nullopt : node->value<Stored>();
+        if (!value)
+            fail("{} line {}: {} has the wrong type or size, expected {}", file, node->source().begin.line,
+                 key, type);
+        option = T(*value);
+    });
     for (const auto& [key, value] : table) {
         const std::string name(key.str());
-        if (std::find(kKeys.begin(), kKeys.end(), name) != kKeys.end()) continue;
-        fail("{} line {}: unknown key '{}'{} (known: {})", file, value.source().begin.line,
-             shorten_for_error_message(name), format_name_suggestion(name, kKeys, "'"),
-             fmt::join(kKeys, ", "));
+        if (std::ranges::find(keys, name) == keys.end())
+            fail("{} line {}: unknown key '{}'{} (known: {})", file, value.source().begin.line,
+                 shorten_for_error_message(name), format_name_suggestion(name, keys, "'"),
+                 fmt::join(keys, ", "));
     }
-    SyntheticOptions options;
-    std::int64_t seed = std::int64_t(options.seed);
-    read_toml_value_if_present(table, "seed", "a whole number", file, seed);
-    options.seed = std::uint64_t(seed);
-    read_toml_value_if_present(table, "n_frames", "a whole number", file, options.n_frames);
-    read_toml_value_if_present(table, "rows", "a whole number", file, options.rows);
-    read_toml_value_if_present(table, "columns", "a whole number", file, options.columns);
-    read_toml_value_if_present(table, "range_noise_m", "a number", file, options.range_noise_m);
-    read_toml_value_if_present(table, "speed_mps", "a number", file, options.speed_mps);
-    read_toml_value_if_present(table, "moving_cars", "true or false", file, options.moving_cars);
-    read_toml_value_if_present(table, "people", "true or false", file, options.people);
-    read_toml_value_if_present(table, "gait", "true or false", file, options.gait);
-    read_toml_value_if_present(table, "rig", "a file", file, options.rig);
     // relative to the folder of street.toml
     if (!options.rig.empty()) options.rig = (toml_file.parent_path() / options.rig).string();
     return options;
@@ -128,13 +126,15 @@ void save_synthetic_options(const SyntheticOptions& options, const fs::path& fol
     fs::create_directories(folder, failed);
     const fs::path file = folder / "street.toml";
     std::ofstream out(file);
-    out << fmt::format(
-        "seed = {}\nn_frames = {}\nrows = {}\ncolumns = {}\nrange_noise_m = {}\nspeed_mps = {}\nmoving_cars "
-        "= {}\npeople = {}\ngait = {}\n",
-        std::int64_t(options.seed), options.n_frames, options.rows, options.columns,
-        format_number_text(options.range_noise_m), format_number_text(options.speed_mps), options.moving_cars,
-        options.people, options.gait);
-    if (!options.rig.empty()) out << "rig = " << toml::value(fs::absolute(options.rig).string()) << "\n";
+    visit_street_options(options, [&]<class T>(const char* key, const T& option, const char*) {
+        if constexpr (std::is_same_v<T, std::string>) {
+            if (!option.empty()) out << key << " = " << toml::value(fs::absolute(option).string()) << "\n";
+        } else if constexpr (std::is_same_v<T, double>)
+            out << fmt::format("{} = {}\n", key, format_number_text(option));
+        else if constexpr (std::is_same_v<T, std::uint64_t>)
+            out << fmt::format("{} = {}\n", key, std::int64_t(option));
+        else out << fmt::format("{} = {}\n", key, option);
+    });
     if (!out.flush()) fail("cannot write {}", file.string());
 }
 

@@ -44,7 +44,7 @@ std::vector<Argoverse2Ray> fire(const Pose& mounted, int lidar, const Argoverse2
     const int half = lidar ^ int(options.lower_half_up);
     std::vector<Argoverse2Ray> rays;
     const Pose vehicle_at_sweep = Argoverse2Log::compute_vehicle_pose(sweep_s);
-    for (int n = 0; n < options.firings; ++n) {
+    for (int n = 0; n < options.firings; ++n)
         for (int k = 0; k < 32; ++k) {
             const std::int64_t offset_ns = 2654000 + 611 * lidar + n * kCycle_ns + kPair[k] * kPair_ns;
             Argoverse2Ray ray;
@@ -77,7 +77,6 @@ std::vector<Argoverse2Ray> fire(const Pose& mounted, int lidar, const Argoverse2
             points.laser.push_back(std::uint8_t(32 * half + k));
             points.offset_ns.push_back(std::int32_t(offset_ns));
         }
-    }
     return rays;
 }
 

@@ -208,10 +208,6 @@ TEST_F(Argoverse2Real, ElevationsAreThoseOfTheTable) {
         for (std::size_t k = 0; k < 32; ++k) worst = std::max(worst, std::abs(sum[k] / n[k]));
         EXPECT_LT(worst, 0.1) << log_.get_lidar(frame).name;
         EXPECT_LT(double(off), 5e-3 * double(returns));
-        RecordProperty(fmt::format("worst_beam_deg_{}_{}", frame.index, frame.lidar),
-                       fmt::format("{:.4f}", worst));
-        RecordProperty(fmt::format("share_beyond_0.1_deg_{}_{}", frame.index, frame.lidar),
-                       fmt::format("{:.5f}", double(off) / double(returns)));
     }
 }
 
@@ -232,8 +228,6 @@ TEST_F(Argoverse2Real, SwappedHalvesAreClearlyWorse) {
                 std::abs(elevation_deg(measured(0, i, laser / 32 ^ swapped)) - elevation.at(laser % 32)) /
                 double(real_[0].laser.size());
     }
-    RecordProperty("straight_deg", fmt::format("{:.4f}", error[0]));
-    RecordProperty("swapped_deg", fmt::format("{:.4f}", error[1]));
     EXPECT_LT(error[0], 0.02);
     EXPECT_GT(error[1], 50.0 * error[0]);
 }
@@ -312,7 +306,6 @@ TEST_F(Argoverse2Real, PointsAreFoundInTheirCells) {
                 glm::distance(glm::dvec3(frame.scan.compute_return_point_in_sensor_frame(cell)), p) < 1e-3;
             in_another_cell += !here;
         }
-        RecordProperty(fmt::format("not_in_the_projected_cell_{}", s), int(in_another_cell));
         EXPECT_LT(double(in_another_cell), 1e-3 * double(real_[s].laser.size()));
     }
 }

@@ -12,10 +12,6 @@ namespace relidar::test {
 namespace fs = std::filesystem;
 namespace {
 
-glm::dmat4 rotate_matrix(const glm::dmat4& matrix, double angle_rad, const glm::dvec3& axis) {
-    return glm::rotate(matrix, angle_rad, axis);
-}
-
 /// Makes a matrix from the columns of a rotation and from a translation.
 glm::dmat4 make_frame_matrix(const glm::dvec3& x, const glm::dvec3& y, const glm::dvec3& z,
                              const glm::dvec3& translation) {
@@ -25,13 +21,13 @@ glm::dmat4 make_frame_matrix(const glm::dvec3& x, const glm::dvec3& y, const glm
 /// Returns the pose of camera 0 in the frame of the IMU. The camera looks along x of the
 /// IMU, and y of the camera points down like z of the IMU, with a small tilt.
 glm::dmat4 get_imu_from_cam0() {
-    return rotate_matrix(make_frame_matrix({0, 1, 0}, {0, 0, 1}, {1, 0, 0}, {1.57, 0.04, -0.9}), 0.03,
-                         {1, 0, 0});
+    return glm::rotate(make_frame_matrix({0, 1, 0}, {0, 0, 1}, {1, 0, 0}, {1.57, 0.04, -0.9}), 0.03,
+                       glm::dvec3(1, 0, 0));
 }
 
 glm::dmat4 get_velo_from_cam0() {
-    return rotate_matrix(make_frame_matrix({0, -1, 0}, {0, 0, -1}, {1, 0, 0}, {0.81, 0.28, -0.1}), -0.02,
-                         {0, 1, 0});
+    return glm::rotate(make_frame_matrix({0, -1, 0}, {0, 0, -1}, {1, 0, 0}, {0.81, 0.28, -0.1}), -0.02,
+                       {0, 1, 0});
 }
 
 /// Returns the numbers of the upper three matrix rows as text, row by row.
@@ -65,7 +61,8 @@ std::string make_timestamps(int n_frames) {
 }  // namespace
 
 glm::dmat4 make_box_matrix(const glm::dvec3& centre_m, double yaw_rad, const glm::dvec3& size_m) {
-    return glm::scale(rotate_matrix(glm::translate(glm::dmat4(1.0), centre_m), yaw_rad, {0, 0, 1}), size_m);
+    return glm::scale(glm::rotate(glm::translate(glm::dmat4(1.0), centre_m), yaw_rad, glm::dvec3(0, 0, 1)),
+                      size_m);
 }
 
 std::string make_object_xml(int number, const std::string& fields, const glm::dmat4& transform) {
@@ -96,10 +93,11 @@ std::string make_boxes_xml(const std::string& objects) {
 
 glm::dmat4 Kitti360Folder::compute_world_from_imu(double frame) {
     const double s = frame - kFirst;
-    const glm::dmat4 heading = rotate_matrix(
-        glm::translate(glm::dmat4(1.0), {1254.5 + 0.9 * s, 3811.25 - 0.4 * s, 114.0 + 0.01 * s}),
-        -0.4 + 0.02 * s, {0, 0, 1});
-    return rotate_matrix(rotate_matrix(heading, 0.01, {0, 1, 0}), glm::pi<double>(), {1, 0, 0});  // z down
+    const glm::dmat4 heading =
+        glm::rotate(glm::translate(glm::dmat4(1.0), {1254.5 + 0.9 * s, 3811.25 - 0.4 * s, 114.0 + 0.01 * s}),
+                    -0.4 + 0.02 * s, glm::dvec3(0, 0, 1));
+    return glm::rotate(glm::rotate(heading, 0.01, glm::dvec3(0, 1, 0)), glm::pi<double>(),
+                       glm::dvec3(1, 0, 0));  // z down
 }
 
 glm::dmat4 Kitti360Folder::compute_world_from_velo(double frame) {

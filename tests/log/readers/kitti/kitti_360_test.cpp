@@ -45,7 +45,7 @@ TEST(Kitti360, PointsStandInTheWorldWhereTheyWere) {
     EXPECT_EQ(log.lidars[0].sensor.columns, test::KittiDrive::kFirings);
     EXPECT_EQ(log.frames[0].scan.count_returns(), kitti.sweeps.n_points);
     double farthest = 0.0, latest = 0.0;
-    for (const LidarFrame& frame : log.frames) {
+    for (const LidarFrame& frame : log.frames)
         for (std::size_t i = 0; i < frame.scan.rays.size(); ++i) {
             if (frame.scan.range_m[i] == 0.0f) continue;
             const glm::dvec3 point(frame.scan.compute_return_point_in_sensor_frame(i));
@@ -58,7 +58,6 @@ TEST(Kitti360, PointsStandInTheWorldWhereTheyWere) {
                                 log.lidars[0].sensor.beams[frame.scan.rays.channel[i]].azimuth_offset_rad;
             latest = std::max(latest, std::abs(std::remainder(late + head / (2 * kPi), 1.0)));
         }
-    }
     EXPECT_LT(farthest, 1e-3);
     EXPECT_LT(latest, 2e-3) << "of a turn: the left offset turns a ray by 26 mm over its range";
 }

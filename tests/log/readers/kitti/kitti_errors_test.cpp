@@ -119,7 +119,7 @@ TEST(KittiErrors, ScanErrorCollector) {
 /// Returns 64 rings of points at even azimuths, stored ring by ring as in KITTI.
 std::string make_even_scan(double step_rad, int n_a_ring) {
     std::string bytes;
-    for (int ring = 0; ring < 64; ++ring) {
+    for (int ring = 0; ring < 64; ++ring)
         for (int i = 0; i < n_a_ring; ++i) {
             // The last three points of a ring are near the end of the turn, so that the
             // azimuth wraps between rings.
@@ -130,7 +130,6 @@ std::string make_even_scan(double step_rad, int n_a_ring) {
                                   0.5);
             bytes.append(reinterpret_cast<const char*>(&point), sizeof point);
         }
-    }
     return bytes;
 }
 

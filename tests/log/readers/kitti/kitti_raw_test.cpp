@@ -9,7 +9,6 @@
 #include <cstring>
 #include <filesystem>
 #include <fstream>
-#include <iostream>
 #include <sstream>
 
 #include <fmt/format.h>
@@ -307,11 +306,10 @@ TEST_F(KittiRawReal, Drive) {
         const Scan& scan = frame.scan;
         ASSERT_EQ(scan.rays.size(), nominal.size());
         double elevation_error = 0.0;
-        for (std::size_t i = 0; i < scan.rays.size(); ++i) {
+        for (std::size_t i = 0; i < scan.rays.size(); ++i)
             if (scan.range_m[i] > 5.0f)
                 elevation_error = std::max<double>(
                     elevation_error, std::abs(scan.rays.direction[i].z - nominal.direction[i].z));
-        }
         EXPECT_LT(elevation_error, 5e-4) << "frame " << frame.index;
         const double returned = double(scan.count_returns()) / double(scan.rays.size());
         EXPECT_GT(returned, 0.8);
@@ -364,9 +362,6 @@ TEST_F(KittiRawReal, ScansKeepTheirPointsOnTheNativeGrid) {
         lost_grid +=
             points.size() - std::size_t(std::ranges::count_if(grid.source, [](int s) { return s >= 0; }));
     }
-    std::cout << fmt::format(
-        "[ collisions ] of {} returns: {:.3f} % lost on the native grid, {:.1f} % in 66 x 1030 pixels\n", all,
-        100.0 * double(lost_native) / double(all), 100.0 * double(lost_grid) / double(all));
     EXPECT_LE(double(lost_native), 1e-3 * double(all));
     EXPECT_GT(lost_grid, lost_native);
 }
@@ -380,20 +375,14 @@ TEST_F(KittiRawReal, ScansHaveOneAzimuthAFiring) {
         const SpinningSensor& sensor = log.get_lidar(frame).sensor;
         const RayTable nominal = make_rays(sensor),
                        turned = rotate_firings_by_azimuth_shifts(nominal, sensor, frame.azimuth_shift_rad);
-        std::vector<float> evenly, followed;
-        for (std::size_t i = 0; i < nominal.size(); ++i) {
-            evenly.push_back(glm::length(nominal.direction[i] - frame.scan.rays.direction[i]));
+        std::vector<float> followed;
+        for (std::size_t i = 0; i < nominal.size(); ++i)
             followed.push_back(glm::length(turned.direction[i] - frame.scan.rays.direction[i]));
-        }
         const auto share = [](std::vector<float>& values, double at) {
             std::ranges::sort(values);
             return double(values[std::size_t(at * double(values.size() - 1))]);
         };
         const double column_rad = 2.0 * kPi / sensor.columns;
-        std::cout << fmt::format("[ azimuths   ] frame {}: median {:.3f} of a column beside nominal rays, ",
-                                 frame.index, share(evenly, 0.5) / column_rad)
-                  << fmt::format("{:.3f} and at 99 % {:.3f} with its own\n",
-                                 share(followed, 0.5) / column_rad, share(followed, 0.99) / column_rad);
         EXPECT_LT(share(followed, 0.5), 0.05 * column_rad);
         EXPECT_LT(share(followed, 0.99), 0.2 * column_rad);
     }

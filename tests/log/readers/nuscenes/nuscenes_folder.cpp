@@ -37,7 +37,7 @@ std::string make_turn(int sweep, int columns, std::vector<NuscenesRay>& rays) {
     std::string bytes;
     const double end_s = sweep * NuscenesFolder::kSweep_s;
     const Pose map_from_raw = NuscenesFolder::compute_vehicle_pose(end_s) * mounted();
-    for (int column = 0; column < columns; ++column) {
+    for (int column = 0; column < columns; ++column)
         for (int ring = 0; ring < 32; ++ring) {
             NuscenesRay ray;
             ray.time_s = end_s - NuscenesFolder::kSweep_s * (1.0 - double(column) / columns);
@@ -60,7 +60,6 @@ std::string make_turn(int sweep, int columns, std::vector<NuscenesRay>& rays) {
             bytes.append(reinterpret_cast<const char*>(values), sizeof values);
             rays.push_back(ray);
         }
-    }
     return bytes;
 }
 

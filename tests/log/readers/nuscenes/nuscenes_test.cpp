@@ -202,7 +202,7 @@ TEST(Nuscenes, KeyframesAlone) {
     EXPECT_NEAR(actual.frames[1].time_s, 0.5, 1e-9);
     EXPECT_EQ(actual.boxes[0].world_from_box.time_s, (std::vector<double>{0.0, actual.frames[1].time_s}));
     const PoseTrack track = actual.get_world_from_sensor(0);
-    for (const LidarFrame& frame : actual.frames) {
+    for (const LidarFrame& frame : actual.frames)
         for (std::size_t i = 0; i < frame.scan.rays.size(); ++i) {
             if (frame.scan.range_m[i] == 0.0f) continue;
             const double turned = double(frame.scan.rays.time_offset_s[i]) / NuscenesFolder::kSweep_s + 1.0;
@@ -221,7 +221,6 @@ TEST(Nuscenes, KeyframesAlone) {
                                     ray.point_m),
                       1e-4);
         }
-    }
     EXPECT_THROW(load(data, {.frames = {1, 10}}), UsageError);
 }
 
