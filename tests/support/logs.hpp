@@ -79,6 +79,18 @@ inline std::string replace_first(std::string text, const std::string& from, cons
     return text.replace(text.find(from), from.size(), to);
 }
 
+/// Start of a ray and point of its return, in the dataset's world.
+struct PlacedReturn {
+    glm::dvec3 origin_m, point_m;
+};
+/// @param world_from_sensor poses of the LiDAR in relidar's world
+inline PlacedReturn place_return(const LidarSequence& log, const PoseTrack& world_from_sensor,
+                                 const LidarFrame& frame, std::size_t ray) {
+    const WorldRay placed = make_world_ray(world_from_sensor, frame.time_s, frame.scan.rays, ray, true);
+    const glm::dvec3 origin_m = placed.origin_m + log.world_offset_m;
+    return {origin_m, origin_m + double(frame.scan.range_m[ray]) * placed.direction};
+}
+
 /// Compares a pose in relidar's world with a pose in the dataset's world.
 inline void expect_pose(const LidarSequence& log, const Pose& pose, const Pose& truth,
                         double tolerance_m = 1e-8, double cosine_tolerance = 1e-12) {

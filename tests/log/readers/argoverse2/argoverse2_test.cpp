@@ -85,18 +85,14 @@ TEST(Argoverse2, EveryRayIsWhereItWasFired) {
             // A ray without a return has the time of its firing sequence. This time
             // differs by up to 35 us from the exact firing time.
             ASSERT_NEAR(frame.scan.rays.time_offset_s[i], ray.time_s, range_m > 0.0f ? 1e-8 : 2.9e-5);
-            const WorldRay placed = make_world_ray(track, frame.time_s, frame.scan.rays, i, true);
+            const auto [origin_m, point_m] = test::place_return(sequence, track, frame, i);
             ASSERT_EQ(range_m > 0.0f, ray.returned) << i;
-            ASSERT_LT(glm::distance(placed.origin_m + sequence.world_offset_m, ray.origin_m),
-                      range_m > 0.0f ? off_m : 2e-3);
+            ASSERT_LT(glm::distance(origin_m, ray.origin_m), range_m > 0.0f ? off_m : 2e-3);
             ASSERT_LT(glm::distance(glm::dvec3(frame.scan.rays.direction[i]), ray.direction),
                       range_m > 0.0f ? off_m / kNearest_m : 5e-4)
                 << i;
             if (range_m > 0.0f) {
-                ASSERT_LT(glm::distance(
-                              placed.origin_m + double(range_m) * placed.direction + sequence.world_offset_m,
-                              ray.point_m),
-                          1e-4);
+                ASSERT_LT(glm::distance(point_m, ray.point_m), 1e-4);
                 ASSERT_EQ(frame.scan.intensity[i], 0.2f);
             }
         }
@@ -160,9 +156,7 @@ TEST(Argoverse2, HalfPrecisionMovesPointsByItsRounding) {
             const Argoverse2Ray& ray =
                 truth.at(frame.scan.rays.channel[i], double(frame.scan.rays.time_offset_s[i]));
             ASSERT_TRUE(ray.returned);
-            const WorldRay placed = make_world_ray(track, frame.time_s, frame.scan.rays, i, true);
-            const glm::dvec3 point_m =
-                placed.origin_m + double(frame.scan.range_m[i]) * placed.direction + sequence.world_offset_m;
+            const glm::dvec3 point_m = test::place_return(sequence, track, frame, i).point_m;
             const glm::dvec3 vehicle_point_m =
                 inverse(Argoverse2Log::compute_vehicle_pose(frame.time_s)) * ray.point_m;
             const glm::dvec3 rounded = inverse(Argoverse2Log::compute_vehicle_pose(frame.time_s)) * point_m;

@@ -60,16 +60,7 @@ struct StreetOfImages {
 
     StreetOfImages(const std::string& name, const std::function<bool(const std::string&)>& keep)
         : folder(test::make_fresh_folder_path("exr_" + name)) {
-        for (LidarFrame& frame : truth.frames) {
-            Scan& scan = frame.scan;
-            scan.second_returns.assign(
-                1, {std::vector<float>(scan.range_m.size()), std::vector<float>(scan.range_m.size())});
-            for (std::size_t i = 0; i < scan.range_m.size(); i += 5)
-                if (scan.range_m[i] > 0.0f && scan.range_m[i] < 70.0f) {
-                    scan.second_returns[0].range_m[i] = scan.range_m[i] + 1.75f;
-                    scan.second_returns[0].intensity[i] = 0.125f;
-                }
-        }
+        test::add_second_returns(truth, 5, 1.75f, 70.0f);
         save_folder(truth, folder);
         std::string head = test::read_text(folder / "sequence.json");
         for (std::size_t at = 0; (at = head.find(".npz", at)) != std::string::npos;)

@@ -35,16 +35,7 @@ using test::PointLog;
 /// Makes a street with two LiDARs, second returns, moving cars and a world offset.
 LidarSequence make_rich_street() {
     LidarSequence street = test::make_two_lidar_street({.n_frames = 5, .rows = 16, .columns = 256});
-    for (LidarFrame& frame : street.frames) {
-        Scan& scan = frame.scan;
-        scan.second_returns.assign(
-            1, {std::vector<float>(scan.range_m.size()), std::vector<float>(scan.range_m.size())});
-        for (std::size_t i = 0; i < scan.range_m.size(); i += 7)
-            if (scan.range_m[i] > 0.0f && scan.range_m[i] < 77.0f) {
-                scan.second_returns[0].range_m[i] = scan.range_m[i] + 2.5f;
-                scan.second_returns[0].intensity[i] = 0.125f;
-            }
-    }
+    test::add_second_returns(street, 7, 2.5f, 77.0f);
     street.notes = {"a first note", {"speed", -1, "found again by each load"}, "a second one"};
     street.world_offset_m += glm::dvec3(457123.4, 5428765.3, 112.9);  // map coordinates
     return street;

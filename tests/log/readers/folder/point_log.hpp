@@ -47,6 +47,20 @@ inline fs::path make_fresh_folder_path(const std::string& name) {
     return folder;
 }
 
+/// Adds second returns `farther_m` behind every `step`-th first return within `max_range_m`.
+inline void add_second_returns(LidarSequence& log, std::size_t step, float farther_m, float max_range_m) {
+    for (LidarFrame& frame : log.frames) {
+        Scan& scan = frame.scan;
+        const std::vector<float> none(scan.range_m.size());
+        AdditionalReturns& second = scan.second_returns.emplace_back(AdditionalReturns{none, none});
+        for (std::size_t i = 0; i < none.size(); i += step)
+            if (scan.range_m[i] > 0.0f && scan.range_m[i] < max_range_m) {
+                second.range_m[i] = scan.range_m[i] + farther_m;
+                second.intensity[i] = 0.125f;
+            }
+    }
+}
+
 /// Log of point files with the returns of a street. Points are in the order of the rays
 /// of the street.
 struct PointLog {

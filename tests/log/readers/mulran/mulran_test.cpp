@@ -34,14 +34,11 @@ void expect_mulran_truth(const MulranFolder& data, const LidarSequence& sequence
                 std::size_t(std::lround((double(frame.scan.rays.time_offset_s[i]) / 0.1 + 0.5) * 1024.0));
             const StampedRay& ray = truth.at(column * 64 + frame.scan.rays.channel[i]);
             ASSERT_TRUE(ray.returned) << frame.index << " " << i;
-            const WorldRay placed = make_world_ray(track, frame.time_s, frame.scan.rays, i, true);
+            const auto [origin_m, point_m] = test::place_return(sequence, track, frame, i);
             // Tolerance: poses are interpolated linearly over 10 ms, and corrections of
             // rays have single precision.
-            ASSERT_LT(glm::distance(placed.origin_m + sequence.world_offset_m, ray.origin_m), 0.002);
-            ASSERT_LT(glm::distance(placed.origin_m + double(frame.scan.range_m[i]) * placed.direction +
-                                        sequence.world_offset_m,
-                                    ray.point_m),
-                      0.003);
+            ASSERT_LT(glm::distance(origin_m, ray.origin_m), 0.002);
+            ASSERT_LT(glm::distance(point_m, ray.point_m), 0.003);
             ASSERT_FLOAT_EQ(frame.scan.intensity[i], 200.0f / 255.0f);
         }
     }

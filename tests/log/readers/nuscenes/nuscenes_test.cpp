@@ -63,17 +63,14 @@ TEST(Nuscenes, EveryRayIsWhereItWasFired) {
             const bool returned = frame.scan.range_m[i] > 0.0f;
             ASSERT_NEAR(fired_s, ray.time_s, 1e-7);
             ASSERT_EQ(returned, ray.returned) << i;
-            const WorldRay placed = make_world_ray(track, frame.time_s, frame.scan.rays, i, true);
+            const auto [origin_m, point_m] = test::place_return(actual, track, frame, i);
             const double off_m = measure_distance_to_arc_m(frame.index, turned);
-            ASSERT_LT(glm::distance(placed.origin_m + actual.world_offset_m, ray.origin_m), off_m);
+            ASSERT_LT(glm::distance(origin_m, ray.origin_m), off_m);
             ASSERT_LT(glm::distance(glm::dvec3(frame.scan.rays.direction[i]), ray.direction),
                       returned ? off_m / 4.0 + 1e-6 : 4e-4)
                 << i;
             if (!returned) continue;
-            ASSERT_LT(glm::distance(placed.origin_m + double(frame.scan.range_m[i]) * placed.direction +
-                                        actual.world_offset_m,
-                                    ray.point_m),
-                      1e-4);
+            ASSERT_LT(glm::distance(point_m, ray.point_m), 1e-4);
             ASSERT_FLOAT_EQ(frame.scan.intensity[i], 0.2f);
         }
     }
@@ -209,17 +206,13 @@ TEST(Nuscenes, KeyframesAlone) {
             const std::size_t column = std::size_t(std::lround(turned * data.columns)),
                               ring = 31u - frame.scan.rays.channel[i];
             const NuscenesRay& ray = data.rays[std::size_t(frame.index)][column * 32 + ring];
-            const WorldRay placed = make_world_ray(track, frame.time_s, frame.scan.rays, i, true);
+            const auto [origin_m, point_m] = test::place_return(actual, track, frame, i);
             // The chord between poses is half a second long, and the LiDAR turns about
             // the axle.
             const double s = (frame.index == 0 ? 0.0 : 1.0) + 0.1 * (turned - 1.0),
                          arc_m = 0.944 * 0.175 * 0.175;
-            ASSERT_LT(glm::distance(placed.origin_m + actual.world_offset_m, ray.origin_m),
-                      arc_m * std::abs(s * (s - 1.0)) / 2.0 + 1e-5);
-            ASSERT_LT(glm::distance(placed.origin_m + double(frame.scan.range_m[i]) * placed.direction +
-                                        actual.world_offset_m,
-                                    ray.point_m),
-                      1e-4);
+            ASSERT_LT(glm::distance(origin_m, ray.origin_m), arc_m * std::abs(s * (s - 1.0)) / 2.0 + 1e-5);
+            ASSERT_LT(glm::distance(point_m, ray.point_m), 1e-4);
         }
     EXPECT_THROW(load(data, {.frames = {1, 10}}), UsageError);
 }

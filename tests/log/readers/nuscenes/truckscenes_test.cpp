@@ -50,7 +50,7 @@ void expect_truth(const LidarSequence& actual, const LidarFrame& frame,
         const TruckRay& ray = truth[column * n_beams + frame.scan.rays.channel[i]];
         ASSERT_TRUE(ray.returned) << i;
         ASSERT_NEAR(fired_s, ray.time_s, 1e-7);
-        const WorldRay placed = make_world_ray(track, frame.time_s, frame.scan.rays, i, true);
+        const auto [origin_m, point_m] = test::place_return(actual, track, frame, i);
         // Tolerance: the interpolated LiDAR moves along chords, less than 2.5 m from the
         // axle, at 20 degrees per second.
         const TrackInterpolation interpolation = track.find_poses_before_and_after_time(fired_s);
@@ -59,11 +59,8 @@ void expect_truth(const LidarSequence& actual, const LidarFrame& frame,
         const double off_m =
             2.5 * rotation_rad * rotation_rad * std::abs(interpolation.s * (interpolation.s - 1.0)) / 2.0 +
             2e-5;
-        ASSERT_LT(glm::distance(placed.origin_m + actual.world_offset_m, ray.origin_m), off_m) << i;
-        ASSERT_LT(glm::distance(placed.origin_m + double(frame.scan.range_m[i]) * placed.direction +
-                                    actual.world_offset_m,
-                                ray.point_m),
-                  off_m + 1e-4);
+        ASSERT_LT(glm::distance(origin_m, ray.origin_m), off_m) << i;
+        ASSERT_LT(glm::distance(point_m, ray.point_m), off_m + 1e-4);
         ASSERT_FLOAT_EQ(frame.scan.intensity[i], 0.2f);
     }
 }
