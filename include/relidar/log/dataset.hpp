@@ -46,7 +46,7 @@ struct DatasetOptions {
     std::string sequence = {};
     FrameRange frames = {};
     /// Text file with poses world_from_vehicle: 3 x 4 matrices of frames, row by row, or
-    /// times, positions, and quaternions or angles (docs/datasets.md). Empty: poses of the
+    /// True: skips unreadable scans with notes. False: such a scan is an error.
     /// dataset. kNoPoses: no poses.
     std::filesystem::path poses_file = {};
     /// True: skips frames without a scan. False: a missing scan is an error.
@@ -61,8 +61,8 @@ struct DatasetOptions {
     /// names of the LiDARs to read; empty: all
     std::vector<std::string> lidars = {};
     /// Maximum number of scans of each LiDAR, spread evenly over the log, for a preview.
-    /// All other frames have no rays. 0: all scans. Logs of KITTI, Argoverse 2, Waymo, and
-    /// nuScenes with its original HDL-32E are always read completely.
+    /// All other frames have no rays. 0: all scans. Logs of KITTI, Argoverse 2, Waymo,
+    /// and nuScenes with its original HDL-32E are always read completely.
     int max_scans = 0;
     ProgressReporter progress = {};  ///< receives the progress of reading
     BagOptions bag = {};
@@ -85,7 +85,7 @@ std::string detect_dataset_kind(const std::filesystem::path& path);
 
 /// Options of save_folder().
 struct LogFolderOptions {
-    /// True: replaces an existing log folder, which is kept until the new one is complete.
+    /// True: replaces a log folder, which is kept until the new one is complete.
     bool overwrite = false;
     /// False: no poses are written, for logs that were read without poses (kNoPoses).
     bool poses = true;

@@ -15,9 +15,8 @@
 
 namespace relidar {
 
-/// Position of a time in a track, between the entries `left` and `left + 1`. `s` is the
-/// fraction of the way between both entries: below 0 before the first entry, above 1
-/// after the last entry.
+/// Position of a time in a track, between the entries `left` and `left + 1`. `s` is below
+/// 0 before the first entry, and above 1 after the last entry.
 struct TrackInterpolation {
     std::size_t left = 0;
     double s = 0.0;  ///< 0 if the track has only one entry
@@ -32,15 +31,12 @@ struct PoseTrack {
         time_s.push_back(at_s);
         pose.push_back(pose_at_s);
     }
-    /// Returns the interpolated pose at a time (slerp for rotations, lerp for
-    /// translations). Outside the track, the pose is extrapolated with the velocity of
-    /// the nearest segment.
+    /// Interpolates with slerp and lerp. Outside the track, the pose is extrapolated with
+    /// the velocity of the nearest segment.
     /// @throws DataError if the track is empty
     Pose interpolate_pose(double t_s) const;
-    /// Returns the pose at `t_s` of an object that is mounted on the object of this
-    /// track: compute_mounted_track() followed by interpolate_pose().
+    /// Same as compute_mounted_track() followed by interpolate_pose().
     Pose interpolate_mounted_pose(double t_s, const Pose& carrier_from_mounted) const;
-    /// Returns the two track entries between which interpolate_pose() interpolates.
     /// @throws DataError if the track is empty
     TrackInterpolation find_poses_before_and_after_time(double t_s) const;
     bool contains_time(double t_s) const {

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Boxes of KITTI-360. The folder contains calibration/, data_3d_raw/DRIVE/velodyne_points,
-// data_poses/DRIVE and data_3d_bboxes. It can contain several drives.
+// Boxes of KITTI-360. The folder contains calibration/, data_poses/DRIVE,
+// data_3d_raw/DRIVE/velodyne_points and data_3d_bboxes. It can contain several drives.
 #pragma once
 
 #include <filesystem>

@@ -47,7 +47,7 @@ inline fs::path make_fresh_folder_path(const std::string& name) {
     return folder;
 }
 
-/// Adds second returns `farther_m` behind every `step`-th first return within `max_range_m`.
+/// Adds second returns `farther_m` behind every `step`-th first return.
 inline void add_second_returns(LidarSequence& log, std::size_t step, float farther_m, float max_range_m) {
     for (LidarFrame& frame : log.frames) {
         Scan& scan = frame.scan;
