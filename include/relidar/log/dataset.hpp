@@ -46,8 +46,8 @@ struct DatasetOptions {
     std::string sequence = {};
     FrameRange frames = {};
     /// Text file with poses world_from_vehicle: 3 x 4 matrices of frames, row by row, or
-    /// True: skips unreadable scans with notes. False: such a scan is an error.
-    /// dataset. kNoPoses: no poses.
+    /// times, positions, and quaternions or angles (docs/datasets.md). Empty: those of
+    /// the dataset. kNoPoses: no poses.
     std::filesystem::path poses_file = {};
     /// True: skips frames without a scan. False: a missing scan is an error.
     bool allow_missing_scans = true;
