@@ -36,8 +36,13 @@ StreetShape make_box(const glm::dvec3& centre, const glm::dvec3& half, Material 
 
 StreetShape make_cylinder(const glm::dvec3& centre, double radius_m, double half_height_m, Material material,
                           double reflectance, SurfaceClass surface = SurfaceClass::building) {
-    return {StreetShape::Kind::cylinder, centre, {radius_m, radius_m, half_height_m}, 0.0, material,
-            reflectance, surface};
+    return {StreetShape::Kind::cylinder,
+            centre,
+            {radius_m, radius_m, half_height_m},
+            0.0,
+            material,
+            reflectance,
+            surface};
 }
 
 double compute_middle_frame_time_s(const SyntheticOptions& options) {
