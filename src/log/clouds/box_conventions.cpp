@@ -31,7 +31,6 @@ constexpr double kShell_m = 0.5, kMostInShell = 0.5;
 // kMinViews scans, and several times the number of points that they lose.
 constexpr std::size_t kMaxPerBox = 50, kMinPerBox = 5, kMinPoints = 100, kMinViews = 5;
 constexpr double kClearlyMore = 3.0;
-constexpr double kMinStep_m = 0.5, kMinPath_m = 5.0;
 
 /// Fault that a correction reverts: moves the boxes up by half their height, turns them
 /// by 90 degrees, or mirrors y coordinates and yaw angles.
@@ -159,34 +158,6 @@ PointGains compare_points_in_boxes(const LidarSequence& sequence) {
     return sum;
 }
 
-struct BoxMotion {
-    double long_m = 0.0, short_m = 0.0;
-    std::size_t n_wider = 0, n_boxes = 0;  ///< elongated boxes that are wider than long, and all
-
-    bool is_sideways() const { return short_m > kMinPath_m && short_m > kClearlyMore * long_m; }
-};
-
-BoxMotion measure_box_motion(const LidarSequence& sequence) {
-    BoxMotion motion;
-    for (const BoxTrack& box : sequence.boxes) {
-        if (!is_elongated(box.size_m)) continue;
-        const bool is_wider = box.size_m.y > box.size_m.x;
-        ++motion.n_boxes;
-        motion.n_wider += is_wider;
-        if (!box.is_moving()) continue;
-        const std::vector<Pose>& poses = box.world_from_box.pose;
-        for (std::size_t from = 0, to = 1; to < poses.size(); ++to) {
-            const glm::dvec3 step = poses[to].translation - poses[from].translation;
-            if (glm::length(step) < kMinStep_m) continue;
-            const glm::dvec3 in_box = glm::abs(glm::conjugate(poses[from].rotation) * step);
-            motion.long_m += is_wider ? in_box.y : in_box.x;
-            motion.short_m += is_wider ? in_box.x : in_box.y;
-            from = to;
-        }
-    }
-    return motion;
-}
-
 }  // namespace
 
 void remove_boxes_of_vehicle(LidarSequence& sequence) {
@@ -224,27 +195,22 @@ void remove_boxes_of_vehicle(LidarSequence& sequence) {
 
 std::string describe_box_fault(const LidarSequence& sequence) {
     const PointGains gains = compare_points_in_boxes(sequence);
-    const BoxMotion motion = measure_box_motion(sequence);
     const auto count_net_gain = [&](std::size_t fault) {
         return gains[fault].is_clear() ? std::ptrdiff_t(gains[fault].gained - gains[fault].lost) : 0;
     };
     std::size_t best = 0;
     for (std::size_t fault = 1; fault < gains.size(); ++fault)
         if (count_net_gain(fault) > count_net_gain(best)) best = fault;
-    const bool has_points = count_net_gain(best) > 0,
-               is_straight = double(gains[kTurned].lost) > kClearlyMore * double(gains[kTurned].gained);
-    const std::string sideways = fmt::format(
-        "moving boxes move {:.0f} m along their shorter side and {:.0f} m along their longer side",
-        motion.short_m, motion.long_m);
-    const char* turned = 2 * motion.n_wider > motion.n_boxes ? "length and width seem to be swapped"
-                                                             : "the yaw seems to be turned by 90 degrees";
-    if (!has_points)
-        return motion.is_sideways() && !is_straight ? fmt::format("{}: {}", turned, sideways) : "";
-    const std::string points = fmt::format("boxes that are corrected in this way gain {} points and lose {}",
-                                           gains[best].gained, gains[best].lost);
-    return fmt::format("{}{}: {}{}", best == kTurned ? turned : kFaults[best].description,
-                       best > kTurned ? ", as in left-handed coordinates (CARLA)" : "", points,
-                       best == kTurned && motion.is_sideways() ? "; " + sideways : "");
+    if (count_net_gain(best) <= 0) return "";
+    int n_wider = 0;  // elongated boxes: wider than long minus longer than wide
+    for (const BoxTrack& box : sequence.boxes)
+        if (is_elongated(box.size_m)) n_wider += box.size_m.y > box.size_m.x ? 1 : -1;
+    const char* turned =
+        n_wider > 0 ? "length and width seem to be swapped" : "the yaw seems to be turned by 90 degrees";
+    return fmt::format("{}{}: boxes that are corrected in this way gain {} points and lose {}",
+                       best == kTurned ? turned : kFaults[best].description,
+                       best > kTurned ? ", as in left-handed coordinates (CARLA)" : "", gains[best].gained,
+                       gains[best].lost);
 }
 
 }  // namespace relidar::folder

@@ -14,8 +14,7 @@ namespace relidar::folder {
 void remove_boxes_of_vehicle(LidarSequence& sequence);
 
 /// Returns the probable fault of the boxes, or an empty text. Compares the points in the
-/// boxes with the points in boxes of other conventions, and the motion of the boxes with
-/// their longer side.
+/// boxes with the points in boxes of other conventions.
 std::string describe_box_fault(const LidarSequence& sequence);
 
 }  // namespace relidar::folder
