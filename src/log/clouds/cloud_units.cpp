@@ -24,6 +24,11 @@ constexpr double kMostClouds = 0.8;  // minimum share of the clouds that must ag
 // seconds.
 constexpr double kLargestStep = 16.0;
 
+constexpr const char* kAboutZero[] = {  // by PointTimeReference
+    "", "the times are relative to the stamp of the cloud",
+    "the times use the same clock as the stamps of the clouds",
+    "the times use the clock of the sensor, so the first time in a cloud is set to its stamp"};
+
 struct TimeUnit {
     const char* name;
     double seconds;
@@ -107,14 +112,6 @@ bool have_times_lost_precision(const std::vector<TimeRange>& ranges, double span
                           (!is_constant && folder::is_coarse_time(cloud.resolution, cloud_interval_s))));
 }
 
-const char* describe_point_time_reference(PointTimeReference reference) {
-    if (reference == PointTimeReference::stamp) return "the times are relative to the stamp of the cloud";
-    if (reference == PointTimeReference::epoch)
-        return "the times use the same clock as the stamps of the clouds";
-    return "the times use the clock of the sensor, so the first time in a cloud is set to the stamp of the "
-           "cloud";
-}
-
 void set_point_time_unit_from_ranges(PointCloudUnits& units, const std::vector<TimeRange>& time_ranges,
                                      const std::vector<TimeRange>& signed_ranges, double cloud_interval_s) {
     if (time_ranges.empty()) return;
@@ -137,9 +134,8 @@ void set_point_time_unit_from_ranges(PointCloudUnits& units, const std::vector<T
             find_reference_of_point_times(signed_ranges, unit.seconds, sweep_s) == PointTimeReference::stamp)
             units.zero = PointTimeReference::stamp;
         units.time_unit_s = unit.seconds;
-        units.about =
-            fmt::format("the times of points are read in {}; {}; a cloud lasts {:.1f} ms", unit.name,
-                        describe_point_time_reference(units.zero), 1e3 * span * unit.seconds);
+        units.about = fmt::format("the times of points are read in {}; {}; a cloud lasts {:.1f} ms",
+                                  unit.name, kAboutZero[std::size_t(units.zero)], 1e3 * span * unit.seconds);
         return;
     }
     units.about = units.is_deskewed

@@ -135,6 +135,7 @@ private:
     }
 
     std::size_t find_nearest_firing(std::size_t point_index) const {
+        if (!points_.firing.empty()) return points_.firing[point_index];
         return std::size_t(
             nearest_[std::size_t(sweep_.lattice.find_nearest_encoder_tick(head_rad_[point_index]))]);
     }
@@ -159,9 +160,8 @@ private:
         const double range = compute_point_range(int(point_index));
         firing_of.push_back(kEmpty);
         if (range > sensor_.max_range_m || range < kLeastRange_m) return;
-        std::size_t firing =
-            points_.firing.empty() ? find_nearest_firing(point_index) : points_.firing[point_index];
-        if (earlier != kEmpty) firing = std::size_t(earlier);
+        const std::size_t firing =
+            earlier != kEmpty ? std::size_t(earlier) : find_nearest_firing(point_index);
         firing_of.back() = int(firing);
         RayPointIndices& cells = get_or_add_point_indices_of_return(number);
         int point = int(point_index);
@@ -181,8 +181,7 @@ private:
     /// Does nothing if the ray already has a point.
     void assign_far_point_to_ray_without_point(std::size_t point_index) {
         if (!(double(compute_point_range(int(point_index))) > sensor_.max_range_m)) return;
-        const std::size_t firing =
-            points_.firing.empty() ? find_nearest_firing(point_index) : points_.firing[point_index];
+        const std::size_t firing = find_nearest_firing(point_index);
         int& point = get_or_add_point_indices_of_return(get_zero_based_return_number(points_, point_index))
                          .get_point_index(points_.ring[point_index], firing);
         if (point == kEmpty) point = int(point_index);
