@@ -206,8 +206,7 @@ TEST(PointMeaning, UsesIntensitiesThatAreNotZero) {
     const PointTable table = make_point_table(points, {{"intensity", zero}, {"reflectivity", bright}});
     EXPECT_FLOAT_EQ(convert_table_to_points(table, units, 0.0, "test").intensity[1], 187.0f / 255.0f);
     EXPECT_EQ(interpret_point_fields({make_point_table(points, {{"intensity", zero}})}).notes.size(), 1u);
-    EXPECT_TRUE(interpret_point_fields({make_point_table(points, {{"intensity", bright}})}).notes.size() ==
-                1);
+    EXPECT_TRUE(interpret_point_fields({make_point_table(points, {{"intensity", bright}})}).notes.empty());
 }
 
 TEST(PointMeaning, FindsTheScaleOfIntensities) {
