@@ -6,22 +6,13 @@ stored in the frame of the map, of the vehicle or of a camera. relidar must conv
    bag_boxes_test.py RELIDAR WORK        77: numpy is missing
 """
 import json
-import pathlib
-import shutil
-import subprocess
-import sys
 import uuid
 
-try:
-    import numpy as np
-except ImportError as error:
-    print(f"skipped: {error}")
-    sys.exit(77)
+from bag_harness import WORK, cloud, convert, expect, header, np, pose, run, run_tests, transform, turned
 
 import bag_writer as bags
 from names import names
 
-RELIDAR, WORK = sys.argv[1], pathlib.Path(sys.argv[2])
 T0, STEP, N, ROWS, COLUMNS = 1_700_000_000_250_000_000, 100_000_000, 5, 8, 180
 IDS = [uuid.UUID(int=0x1234_5678_0000_4000_8000_0000_0000_0001), uuid.UUID(int=0x1234_5678_0000_4000_8000_0000_0000_0002)]
 SIZES = [(4.5, 1.9, 1.6), (0.6, 0.7, 1.8)]
@@ -61,16 +52,6 @@ VERSIONS = {   # message type, definition, format, whether objects have an id
 }
 
 
-def expect(condition, text):
-    if not condition:
-        sys.exit(f"FAILED: {text}")
-
-
-def turned(v, yaw):
-    c, s = np.cos(yaw), np.sin(yaw)
-    return np.array([c * v[0] - s * v[1], s * v[0] + c * v[1], v[2]])
-
-
 def car(t):
     """Returns the pose of base_link in the map at a time in seconds after T0."""
     return np.array([3 + 8 * t, 2 + t, 0]), 0.2 + 0.3 * t
@@ -87,14 +68,6 @@ def seen_from(frame, t, placed):
     origin, heading = car(t)
     place, yaw = turned(place - origin, -heading), yaw - heading
     return (place, yaw) if frame == "base_link" else (turned(place - CAMERA[0], -CAMERA[1]), yaw - CAMERA[1])
-
-
-def pose(place, yaw):
-    return {"position": dict(zip("xyz", map(float, place))), "orientation": {"x": 0.0, "y": 0.0, "z": float(np.sin(yaw / 2)), "w": float(np.cos(yaw / 2))}}
-
-
-def header(stamp, frame):
-    return {"stamp": stamp, "frame_id": frame}
 
 
 def box_list(type_name, frame, ns, number_of=lambda k: k, named=True):
@@ -128,26 +101,22 @@ def box_list(type_name, frame, ns, number_of=lambda k: k, named=True):
     return {"header": header(stamp, frame), "detections": values, "objects": values}
 
 
-def cloud(k):
+def sweep(k):
     azimuth = np.pi - 2 * np.pi * np.arange(COLUMNS) / COLUMNS
     elevation = np.radians(np.linspace(10, -25, ROWS))[:, None]
     points = np.zeros((ROWS, COLUMNS), [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4"), ("t", "<u4"), ("ring", "<u2")])
     points["x"], points["y"] = 20 * np.cos(elevation) * np.cos(azimuth), 20 * np.cos(elevation) * np.sin(azimuth)
     points["z"], points["intensity"] = 20 * np.sin(elevation), 30
     points["t"], points["ring"] = np.arange(COLUMNS) * (STEP // COLUMNS), np.arange(ROWS)[:, None]
-    codes = {"<f4": 7, "<u4": 6, "<u2": 4}
-    return {"header": header(T0 + k * STEP, "lidar"), "height": 1, "width": points.size,
-            "fields": [{"name": n, "offset": points.dtype.fields[n][1], "datatype": codes[points.dtype[n].str], "count": 1} for n in points.dtype.names],
-            "is_bigendian": 0, "point_step": points.itemsize, "row_step": points.nbytes, "data": points.T.tobytes(), "is_dense": 1}
+    return cloud(T0 + k * STEP, "lidar", points)
 
 
 def log(extra=(), with_poses=True):
-    link = lambda stamp, parent, child, place, yaw: {"header": header(stamp, parent), "child_frame_id": child, "transform": pose(place, yaw)}
-    out = [("/tf_static", "tf2_msgs/TFMessage", T0 - STEP, {"transforms": [link(0, "base_link", "lidar", [0.8, 0, 1.7], np.pi / 2),
-                                                                            link(0, "base_link", "camera", *CAMERA)]})]
+    out = [("/tf_static", "tf2_msgs/TFMessage", T0 - STEP, {"transforms": [transform(0, "base_link", "lidar", [0.8, 0, 1.7], np.pi / 2),
+                                                                            transform(0, "base_link", "camera", *CAMERA)]})]
     for ns in range(-STEP, (N + 2) * STEP, 10_000_000) if with_poses else ():
-        out.append(("/tf", "tf2_msgs/TFMessage", T0 + ns, {"transforms": [link(T0 + ns, "map", "base_link", *car(1e-9 * ns))]}))
-    out += [("/points", "sensor_msgs/PointCloud2", T0 + k * STEP + 9_000_000, cloud(k)) for k in range(N)]
+        out.append(("/tf", "tf2_msgs/TFMessage", T0 + ns, {"transforms": [transform(T0 + ns, "map", "base_link", *car(1e-9 * ns))]}))
+    out += [("/points", "sensor_msgs/PointCloud2", T0 + k * STEP + 9_000_000, sweep(k)) for k in range(N)]
     return sorted(out + list(extra), key=lambda m: m[2])
 
 
@@ -159,19 +128,10 @@ def boxes_in(topic, version, frame, rate_hz=20, **given):
     return [(topic, type_name, T0 + ns + 3_000_000, box_list(type_name, frame, ns, **given)) for ns in range(0, N * STEP, 10**9 // rate_hz)]
 
 
-def run(*arguments):
-    done = subprocess.run([RELIDAR, *map(str, arguments)], capture_output=True, text=True)
-    expect(done.returncode == 0, f"relidar {' '.join(map(str, arguments))}: exit {done.returncode}\n{done.stdout}{done.stderr}")
-    return done.stdout + done.stderr
-
-
-def converted(bag, *more):
-    folder = WORK / (bag.name + ".log")
-    shutil.rmtree(folder, ignore_errors=True)
-    run("convert", bag, "--out", folder, *more)
-    head = json.loads((folder / "sequence.json").read_text())
+def converted(bag, *settings):
+    folder, _, notes = convert(bag, *settings)
     file = folder / "boxes.json"
-    return json.loads(file.read_text())["boxes"] if file.exists() else [], "\n".join(head["notes"])
+    return json.loads(file.read_text())["boxes"] if file.exists() else [], notes
 
 
 def check(name, boxes, n=10, ids=IDS, categories=("class 1", "class 7")):
@@ -247,8 +207,4 @@ def test_places():
     expect(names(notes, "14 boxes ... skipped ... same track"), notes)
 
 
-shutil.rmtree(WORK, ignore_errors=True)
-WORK.mkdir(parents=True)
-for test in (test_versions, test_choice, test_clocks, test_places):
-    test()
-print("done")
+run_tests(test_versions, test_choice, test_clocks, test_places)

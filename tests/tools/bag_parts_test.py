@@ -5,29 +5,13 @@ parts to full turns with every point at its time, or report the contents of the 
 
    bag_parts_test.py RELIDAR WORK        77: numpy is missing
 """
-import json
-import pathlib
-import shutil
-import subprocess
-import sys
-
-try:
-    import numpy as np
-except ImportError as error:
-    print(f"skipped: {error}")
-    sys.exit(77)
+from bag_harness import WORK, cloud, convert, expect, np, returns, run, run_tests, zero_ns
 
 import bag_writer as bags
 from names import names
 
-RELIDAR, WORK = sys.argv[1], pathlib.Path(sys.argv[2])
 T0, TURN, N, ROWS, COLUMNS = 1_700_000_000_250_000_000, 100_000_000, 6, 8, 360
 ELEVATIONS = np.radians(np.linspace(10, -25, ROWS))
-
-
-def expect(condition, text):
-    if not condition:
-        sys.exit(f"FAILED: {text}")
 
 
 def firings(first, last, clockwise=True, offset=(0, 0, 0)):
@@ -48,37 +32,19 @@ def firings(first, last, clockwise=True, offset=(0, 0, 0)):
 def message(points, times_ns, frame="lidar", fields=("x", "y", "z", "intensity", "t", "ring")):
     points = points.copy()
     points["t"] = times_ns - times_ns[0]
-    codes = {"<f4": 7, "<u4": 6, "<u2": 4}
     stamp = T0 + int(times_ns[0])
-    return ("/points", "sensor_msgs/PointCloud2", stamp, {
-        "header": {"stamp": stamp, "frame_id": frame}, "height": 1, "width": points.size,
-        "fields": [{"name": n, "offset": points.dtype.fields[n][1], "datatype": codes[points.dtype[n].str], "count": 1} for n in fields],
-        "is_bigendian": 0, "point_step": points.itemsize, "row_step": points.nbytes, "data": points.T.tobytes(), "is_dense": 1})
-
-
-def run(*arguments, code=0):
-    done = subprocess.run([RELIDAR, *map(str, arguments)], capture_output=True, text=True)
-    expect(done.returncode == code, f"relidar {' '.join(map(str, arguments))}: exit {done.returncode}\n{done.stdout}{done.stderr}")
-    return done.stdout + done.stderr
+    return ("/points", "sensor_msgs/PointCloud2", stamp, cloud(stamp, frame, points, fields))
 
 
 def converted(messages):
-    bag, folder = WORK / "parts.mcap", WORK / "log"
-    bags.write_mcap(bag, messages)
-    shutil.rmtree(folder, ignore_errors=True)
-    run("convert", bag, "--out", folder)
-    head = json.loads((folder / "sequence.json").read_text())
+    bags.write_mcap(WORK / "parts.mcap", messages)
+    folder, head, notes = convert(WORK / "parts.mcap")
     scans = []
     for frame in head["frames"]:
         scan = np.load(folder / frame["scan"])
-        hit = scan["range"] > 0
-        scans.append((frame["time_s"], scan["range"].shape, scan["time"][hit] + frame["time_s"],
-                      (scan["origin"] + scan["range"][..., None] * scan["directions"])[hit]))
-    return head, "\n".join(head["notes"]), scans
-
-
-def zero_ns(head):
-    return head["start_unix_ns"] - T0
+        points, hit = returns(scan)
+        scans.append((frame["time_s"], scan["range"].shape, scan["time"][hit] + frame["time_s"], points))
+    return head, notes, scans
 
 
 def check(name, columns, clockwise=True, lost=(), turns=range(N)):
@@ -95,9 +61,9 @@ def check(name, columns, clockwise=True, lost=(), turns=range(N)):
         t = np.broadcast_to(t_ns, truth.shape).ravel() * 1e-9
         order = np.lexsort((wanted.reshape(-1, 3)[:, 2], t))
         expect(len(times) == truth.size, f"{name}, turn {turn}: {len(times)} points, expected {truth.size}")
-        expect(np.abs(np.sort(times) + 1e-9 * zero_ns(head) - t[order]).max() < 2e-6, f"{name}, turn {turn}: times")
+        expect(np.abs(np.sort(times) + 1e-9 * (zero_ns(head) - T0) - t[order]).max() < 2e-6, f"{name}, turn {turn}: times")
         # sorts the points of a firing by height, so that equal points are compared
-        same = np.lexsort((points[:, 2], np.rint((times + 1e-9 * zero_ns(head)) * 1e9 / (TURN // COLUMNS))))
+        same = np.lexsort((points[:, 2], np.rint((times + 1e-9 * (zero_ns(head) - T0)) * 1e9 / (TURN // COLUMNS))))
         expect(np.abs(points[same] - wanted.reshape(-1, 3)[order]).max() < 1e-4, f"{name}, turn {turn}: points")
     expect(abs(head["lidars"][0]["sensor"]["spinning"]["period_s"] - 0.1) < 1e-3, f"{name}: a turn of {head['lidars'][0]['sensor']['spinning']['period_s']} s")
     print(f"{name}: {len(scans)} turns as measured")
@@ -142,8 +108,4 @@ def test_left_alone():
     print("windows of a LiDAR without a head: a scan each")
 
 
-shutil.rmtree(WORK, ignore_errors=True)
-WORK.mkdir(parents=True)
-for test in (test_joined, test_said, test_left_alone):
-    test()
-print("done")
+run_tests(test_joined, test_said, test_left_alone)

@@ -4,35 +4,19 @@ with it. Scans and poses must be as written.
 
    bag_reports_test.py RELIDAR WORK        77: numpy, lz4 or zstd are missing
 """
-import json
 import math
-import pathlib
-import shutil
 import struct
 import subprocess
-import sys
 
-try:
-    import numpy as np
-except ImportError as error:
-    print(f"skipped: {error}")
-    sys.exit(77)
-if not (shutil.which("lz4") and shutil.which("zstd")):
-    print("skipped: lz4 or zstd are missing")
-    sys.exit(77)
+from bag_harness import WORK, convert, expect, header, np, returns, run, run_tests
+from bag_harness import cloud as cloud_of_rows
 
 import bag_writer as bags
 from names import names
 
-RELIDAR, WORK = sys.argv[1], pathlib.Path(sys.argv[2])
 T0, STEP, N, COLUMNS, ROWS, SPEED = 1_700_000_000_000_000_000, 100_000_000, 12, 90, 8, 10.0
 SECOND = 1_000_000_000
 TF, CLOUD, LIVOX = "tf2_msgs/TFMessage", "sensor_msgs/PointCloud2", "livox_ros_driver2/CustomMsg"
-
-
-def expect(condition, text):
-    if not condition:
-        sys.exit(f"FAILED: {text}")
 
 
 def points(columns=np.arange(COLUMNS)):
@@ -49,13 +33,11 @@ def cloud(stamp, frame="lidar", late_s=lambda t: 0, kind="f4"):
     row["x"], row["y"], row["z"] = p.T
     row["ring"], row["time"] = np.arange(len(p)) % ROWS, np.arange(len(p)) // ROWS * (0.1 / COLUMNS)
     row["time"] += late_s(row["time"])
-    fields = [{"name": n, "offset": row.dtype.fields[n][1], "datatype": {"u2": 4, "f4": 7, "f8": 8}[row.dtype[n].str[1:]], "count": 1} for n in row.dtype.names]
-    return {"header": {"stamp": stamp, "frame_id": frame}, "height": 1, "width": len(p), "fields": fields, "is_bigendian": 0,
-            "point_step": row.itemsize, "row_step": row.nbytes, "data": row.tobytes(), "is_dense": 1}
+    return cloud_of_rows(stamp, frame, row)
 
 
 def transform(stamp, parent, child, place, q=(0, 0, 0, 1)):
-    return {"header": {"stamp": stamp, "frame_id": parent}, "child_frame_id": child,
+    return {"header": header(stamp, parent), "child_frame_id": child,
             "transform": {"position": dict(zip("xyz", place)), "orientation": dict(zip("xyzw", q))}}
 
 
@@ -73,20 +55,6 @@ def log(n=N, ahead_ns=0, cloud_delay_ns=0, pose_delay_ns=0, start_s=-0.5, end_s=
     return sorted(out, key=lambda m: m[2])
 
 
-def run(*arguments, code=0):
-    done = subprocess.run([RELIDAR, *map(str, arguments)], capture_output=True, text=True)
-    expect(done.returncode == code, f"relidar {' '.join(map(str, arguments))}: exit {done.returncode}\n{done.stdout}{done.stderr}")
-    return done.stdout + done.stderr
-
-
-def convert(bag, *settings):
-    folder = WORK / (bag.name + ".log")
-    shutil.rmtree(folder, ignore_errors=True)
-    run("convert", bag, "--out", folder, "--set", "dataset.max_range_m=200", *[v for s in settings for v in ("--set", s)])
-    head = json.loads((folder / "sequence.json").read_text())
-    return folder, head, "\n".join(head["notes"])
-
-
 def written(name, messages, **given):
     path = WORK / (name + ".mcap")
     bags.write_mcap(path, messages, **given)
@@ -101,8 +69,7 @@ def check(bag, *settings, n=N, most_m=1e-6, extra_m=0.0):
     rows = np.loadtxt(folder / "poses.txt", ndmin=2)
     for k, frame in enumerate(head["frames"]):
         scan = np.load(folder / frame["scan"])
-        found = (scan["origin"] + scan["range"][..., None] * scan["directions"])[scan["range"] > 0]
-        apart = np.linalg.norm(found[:, None] - points()[None], axis=-1)
+        apart = np.linalg.norm(returns(scan)[0][:, None] - points()[None], axis=-1)
         expect(apart.shape == (ROWS * COLUMNS,) * 2 and max(apart.min(0).max(), apart.min(1).max()) < 1e-4, f"{bag.name}, frame {k}: points")
         apart = rows[k, 1] - SPEED * 0.1 * k - extra_m
         expect(abs(apart) <= most_m, f"{bag.name}, frame {k}: {apart} m beside its place\n{notes}")
@@ -295,8 +262,7 @@ def test_shared_topics():
     expect(len(head["frames"]) == 5 * N and names(notes, "/livox ... 5 LiDARs"), notes)
     for i, frame in enumerate(head["frames"]):
         scan = np.load(folder / frame["scan"])
-        found = (scan["origin"] + scan["range"][..., None] * scan["directions"]).reshape(-1, 3)
-        expect(np.abs(found - points(sectors[i % 5])).max() < 1e-4, f"points of {frame}")
+        expect(np.abs(returns(scan)[0] - points(sectors[i % 5])).max() < 1e-4, f"points of {frame}")
     for chosen, n in (("/livox", 5), ("/livox:42", 1)):
         expect(len(convert(bag, f"dataset.lidars={chosen}")[1]["lidars"]) == n, f"dataset.lidars={chosen}")
     # clouds that take turns in two frames, with their mountings in /tf_static
@@ -359,11 +325,6 @@ def test_frames_of_chunks():
     bags.packed = packed
 
 
-shutil.rmtree(WORK, ignore_errors=True)
-WORK.mkdir(parents=True)
-for test in (test_clocks, test_clock_jumps, test_damaged_times, test_small_offsets, test_half_a_sweep, test_late_scans, test_times_of_clocks,
-             test_clocks_of_lidars, test_pose_files, test_transforms, test_recording_times, test_shared_frames,
-             test_shared_topics, test_zstd, test_frames_of_chunks):
-    test()
-    print(test.__name__)
-print("done")
+run_tests(test_clocks, test_clock_jumps, test_damaged_times, test_small_offsets, test_half_a_sweep, test_late_scans, test_times_of_clocks,
+          test_clocks_of_lidars, test_pose_files, test_transforms, test_recording_times, test_shared_frames, test_shared_topics, test_zstd,
+          test_frames_of_chunks, programs=("lz4", "zstd"))

@@ -6,41 +6,16 @@ poses.
 
    bag_test.py RELIDAR WORK        77: numpy, lz4 or zstd are missing
 """
-import json
-import pathlib
-import shutil
-import struct
-import subprocess
-import sys
-
-try:
-    import numpy as np
-except ImportError as error:
-    print(f"skipped: {error}")
-    sys.exit(77)
-if not (shutil.which("lz4") and shutil.which("zstd")):
-    print("skipped: lz4 or zstd are missing")
-    sys.exit(77)
+from bag_harness import TYPE_CODES, WORK, convert, expect, np, pose, returns, run, run_tests, transform, turned
 
 import bag_writer as bags
 from names import names
 
-RELIDAR, WORK = sys.argv[1], pathlib.Path(sys.argv[2])
 T0, STEP, N, COLUMNS = 1_700_000_000_250_000_000, 100_000_000, 5, 360
 ELEVATIONS = np.radians(np.linspace(15, -15, 16))
 # position in base_link; the LiDAR is also turned by 90 degrees to the left
 MOUNT = np.array([0.8, 0.0, 1.7])
 RADIUS, HEIGHT = 22.0, 7.0
-
-
-def expect(condition, text):
-    if not condition:
-        sys.exit(f"FAILED: {text}")
-
-
-def turned(v, yaw):
-    c, s = np.cos(yaw), np.sin(yaw)
-    return np.stack([c * v[..., 0] - s * v[..., 1], s * v[..., 0] + c * v[..., 1], v[..., 2] + 0 * c], -1)
 
 
 def car(t_s):
@@ -73,9 +48,6 @@ def sweep(k, offset_ns=0, mount=MOUNT, yaw=np.pi / 2):
     points[5, 40:60] = np.nan   # rays through a window have no return
     intensity = (10 + 5 * np.arange(16)[:, None] + np.arange(COLUMNS) % 90).astype("f4")
     return points, np.broadcast_to(t_ns, (16, COLUMNS)), intensity
-
-
-TYPE_CODES = {"i1": 1, "u1": 2, "i2": 3, "u2": 4, "i4": 5, "u4": 6, "f4": 7, "f8": 8}
 
 
 def cloud(stamp_ns, frame, columns, step, organised=False, big=False, row_pad=0):
@@ -140,14 +112,6 @@ def autoware(k, frame="lidar"):
         ("time_stamp", "u4", 28, both(t - stamp, t - stamp))], 32)
 
 
-def pose_value(place, yaw):
-    return {"position": dict(zip("xyz", place)), "orientation": {"x": 0.0, "y": 0.0, "z": float(np.sin(yaw / 2)), "w": float(np.cos(yaw / 2))}}
-
-
-def transform(stamp, parent, child, place, yaw):
-    return {"header": {"stamp": stamp, "frame_id": parent}, "child_frame_id": child, "transform": pose_value(place, yaw)}
-
-
 def poses(kind, frame="lidar", slash=""):
     """Returns poses every 20 ms from 0.1 s before the first sweep to 0.2 s after the last sweep."""
     tf = "tf/tfMessage" if slash else "tf2_msgs/TFMessage"
@@ -167,10 +131,10 @@ def poses(kind, frame="lidar", slash=""):
             twist = {"linear": dict(x=0.0, y=0.0, z=0.0), "angular": dict(x=0.0, y=0.0, z=0.0)}
             out.append(("/odometry", "nav_msgs/Odometry", stamp, {
                 "header": {"stamp": stamp, "frame_id": "odom"}, "child_frame_id": "base_link",
-                "pose": {"pose": pose_value(place, yaw), "covariance": [0.0] * 36}, "twist": {"twist": twist, "covariance": [0.0] * 36}}))
+                "pose": {"pose": pose(place, yaw), "covariance": [0.0] * 36}, "twist": {"twist": twist, "covariance": [0.0] * 36}}))
         elif kind == "pose":
             out.append(("/localization", "geometry_msgs/PoseStamped", stamp, {"header": {"stamp": stamp, "frame_id": "map"},
-                                                                               "pose": pose_value(place, yaw)}))
+                                                                               "pose": pose(place, yaw)}))
     return out
 
 
@@ -183,29 +147,15 @@ def log(driver, kind="tf", topic="/points", slash="", **given):
     return sorted(messages, key=lambda m: m[2])
 
 
-def run(*arguments, code=0):
-    done = subprocess.run([RELIDAR, *map(str, arguments)], capture_output=True, text=True)
-    expect(done.returncode == code, f"relidar {' '.join(map(str, arguments))}: exit {done.returncode}\n{done.stdout}{done.stderr}")
-    return done.stdout + done.stderr
-
-
-def converted(bag, *more):
-    folder = WORK / (bag.name + ".log")
-    shutil.rmtree(folder, ignore_errors=True)
-    run("convert", bag, "--out", folder, "--set", "dataset.max_range_m=200", *more)
-    return folder, json.loads((folder / "sequence.json").read_text())
-
-
 def check(name, bag, n_frames=N, second=False, stamps="first", scale=255.0, ordered=True, poses_there=True, more=()):
-    folder, head = converted(bag, *more)
+    folder, head, _ = convert(bag, *more)
     frames = head["frames"]
     expect([f["number"] for f in frames] == list(range(n_frames)), f"{name}: frames {[f['number'] for f in frames]}, expected {n_frames}")
     rows = np.loadtxt(folder / "poses.txt", ndmin=2) if poses_there else None
     zero_ns = T0 + (int(sweep(0)[1][0, -1]) if stamps == "last" else 0)
     for k, frame in enumerate(frames):
         scan = np.load(folder / frame["scan"])
-        hit = scan["range"] > 0
-        found = (scan["origin"] + scan["range"][..., None] * scan["directions"])[hit]
+        found, hit = returns(scan)
         p, t, i = sweep(k)
         keep = np.isfinite(p[..., 0])
         truth = p[keep]
@@ -306,7 +256,7 @@ def test_two():
     messages.sort(key=lambda m: m[2])
     bag = WORK / "two.mcap"
     bags.write_mcap(bag, messages, compression="lz4", chunk=4)
-    folder, head = converted(bag)
+    folder, head, _ = convert(bag)
     expect([l["name"] for l in head["lidars"]] == ["/front", "/rear"], f"LiDARs {head['lidars']}")
     expect([(f["number"], f["lidar"]) for f in head["frames"]] == [(k, l) for k in range(N) for l in ("/front", "/rear")], "frames of two LiDARs")
     zero_s = 1e-9 * sweep(0)[1][0, -1]
@@ -320,7 +270,7 @@ def test_two():
         expect(len(found) == len(t) and np.abs(found - 1e-9 * t).max() < 1e-6, "times of two LiDARs")
     mount = head["lidars"][1]["vehicle_from_sensor"]
     expect(np.abs(np.array(mount["translation"]) - second["mount"]).max() < 1e-9, f"mounting {mount}")
-    check("one of two by dataset.lidars", bag, stamps="last", more=("--set", "dataset.lidars=/front"))
+    check("one of two by dataset.lidars", bag, stamps="last", more=("dataset.lidars=/front",))
     expect("/middle" in run("info", bag, "--set", "dataset.lidars=/middle", code=2), "a topic that is not there")
 
 
@@ -331,7 +281,7 @@ def test_poses():
     expect("estimated" in run("info", bag), "a bag without poses")
     bag = WORK / "choice.mcap"
     bags.write_mcap(bag, log(hesai) + poses("odometry")[1:])
-    check("poses of a topic", bag, more=("--set", "dataset.poses_from=/odometry"))
+    check("poses of a topic", bag, more=("dataset.poses_from=/odometry",))
     expect("/odometry" in run("info", bag, "--set", "dataset.poses_from=/gps", code=2), "poses of a topic that is not there")
     shifted = [(m[0], m[1], m[2], dict(m[3])) for m in log(hesai)]
     for m in shifted:   # simulates a sensor clock that is an hour late
@@ -364,103 +314,13 @@ def test_livox():
     messages.sort(key=lambda m: m[2])
     for name, write in (("livox.mcap", lambda path: bags.write_mcap(path, messages)), ("livox.bag", lambda path: bags.write_ros1(path, messages))):
         write(WORK / name)
-        folder, head = converted(WORK / name)
+        folder, head, _ = convert(WORK / name)
         for k, f in enumerate(head["frames"]):
             scan = np.load(folder / f["scan"])
             expect(scan["range"].size == 3000, f"{name}: {scan['range'].size} rays")
-            found = (scan["origin"] + scan["range"][..., None] * scan["directions"]).reshape(-1, 3)
-            expect(np.abs(found - kept[k]).max() < 1e-4, f"{name}: points differ")
+            expect(np.abs(returns(scan)[0] - kept[k]).max() < 1e-4, f"{name}: points differ")
             expect(np.abs(scan["time"].ravel() - 33e-6 * np.arange(3000)).max() < 1e-6, f"{name}: times differ")
         expect(not head["lidars"][0]["spins"], f"{name}: it spins")
 
 
-def packets_of(dual, product=0x22, n=170, lost=()):
-    """Returns packets of a VLP-16 that turns in 0.1 s and starts straight ahead, written by its
-    manual. The truth has firing time, azimuth, laser, range, reflectivity, and whether it is a
-    second return."""
-    order = [-15, 1, -13, 3, -11, 5, -9, 7, -7, 9, -5, 11, -3, 13, -1, 15]
-    out, truth = [], []
-    firing = 0
-    for k in range(n):
-        body, start_us = bytearray(), firing * 55.296
-        for b in range(0, 12, 2 if dual else 1):
-            az = round(firing * 55.296e-6 * 3600 * 100) % 36000
-            blocks = [bytearray(struct.pack("<HH", 0xEEFF, az)) for _ in range(2 if dual else 1)]
-            for f in (0, 1):
-                for laser in range(16):
-                    seen = (firing + laser) % 3 > 0
-                    mm = 4000 + 20 * laser + 2 * (firing % 500) if seen else 0
-                    two = dual and seen and firing % 5 == 0
-                    # The last return is the stronger one, so the second block has the
-                    # second strongest return.
-                    values = [(mm, 90), (mm - 1500 if two else mm, 40 if two else 90)] if dual else [(mm, 90)]
-                    for block, (value, bright) in zip(blocks, values):
-                        block += struct.pack("<HB", value // 2, bright if value else 0)
-                    if seen:
-                        t_us = firing * 55.296 + laser * 2.304
-                        truth.append((k, t_us * 1e-6, t_us * 1e-6 * 3600, order[laser], mm / 1000, 90, 0))
-                        if two:
-                            truth.append((k, t_us * 1e-6, t_us * 1e-6 * 3600, order[laser], (mm - 1500) / 1000, 40, 1))
-                firing += 1
-            for block in blocks:
-                body += block
-        body += struct.pack("<IBB", round(start_us + 3599_950_000) % 3_600_000_000, 0x39 if dual else 0x37, product)
-        if k not in lost:
-            out.append({"stamp": T0 + round(start_us * 1000), "data": list(body)})
-    return out, np.array([t for t in truth if t[0] not in lost])
-
-
-def test_packets():
-    for dual, lost in ((False, ()), (True, ()), (False, (100, 101))):
-        name = f"packets of a VLP-16, {2 if dual else 1} returns{', two packets lost' if lost else ''}"
-        packets, truth = packets_of(dual, n=340 if dual else 170, lost=lost)
-        messages = [("/velodyne_packets", "velodyne_msgs/VelodyneScan", T0 + i, {"header": {"stamp": T0, "frame_id": "velodyne"}, "packets": packets[i:i + 40]})
-                    for i in range(0, len(packets), 40)]
-        bag = WORK / "packets.mcap"
-        bags.write_mcap(bag, messages, form="ros1" if lost else "cdr")
-        folder, head = converted(bag)
-        # Complete turns start and end facing backward. Of 170 packets (0.2256 s), there
-        # is one such turn, from 0.05 to 0.15 s.
-        expect(len(head["frames"]) == 1, f"{name}: {len(head['frames'])} turns")
-        zero_s = 1e-9 * (head["start_unix_ns"] - T0)
-        expect(abs(zero_s - 0.1) < 5e-6, f"{name}: it faces forward at {zero_s} s")
-        scan = np.load(folder / head["frames"][0]["scan"])
-        received = 1808 - 24 * len(lost)   # a packet has 24 firings
-        expect(scan["range"].shape[0] == 16 and received <= scan["range"].shape[1] <= received + 4, f"{name}: an image of {scan['range'].shape}")
-        rows = []
-        for k in ("", "_2") if dual else ("",):
-            hit = scan["range" + k] > 0
-            d = scan["directions"][hit].astype(float)
-            rows.append(np.column_stack([scan["time"][hit] + zero_s, np.degrees(np.arctan2(d[:, 1], d[:, 0])), np.degrees(np.arcsin(d[:, 2])),
-                                         scan["range" + k][hit], 255 * scan["intensity" + k][hit], np.full(hit.sum(), k != "")]))
-        found = np.concatenate(rows)
-        tick = lambda t: np.rint(t / 2.304e-6).astype(int)   # a firing takes 24 ticks
-        # a turn with fewer firings than columns repeats some firings
-        found = found[np.unique(np.column_stack([tick(found[:, 0]), found[:, 5]]), axis=0, return_index=True)[1]]
-        firing_s = np.floor(truth[:, 1] / 55.296e-6 + 1e-6) * 55.296e-6
-        turn = truth[(firing_s * 3600 >= 180 - 1e-3) & (firing_s * 3600 < 540 - 1e-3)]
-        turn = turn[np.lexsort((turn[:, 6], tick(turn[:, 1])))]
-        expect(abs(len(found) - len(turn)) <= 40, f"{name}: {len(found)} returns, expected {len(turn)}")
-        both = sorted(set(tick(found[:, 0])) & set(tick(turn[:, 1])))
-        found, turn = [a[np.isin(tick(a[:, c]), both)] for a, c in ((found, 0), (turn, 1))]
-        expect(np.abs(found[:, 0] - turn[:, 1]).max() < 1e-6, f"{name}: times")
-        expect(len(found) == len(turn) > 9000, f"{name}: {len(found)} returns at times of {len(turn)}")
-        expect(np.abs((-found[:, 1] - turn[:, 2] + 180) % 360 - 180).max() < 0.012, f"{name}: azimuths")
-        for c, of, most, what in ((2, 3, 1e-4, "elevations"), (3, 4, 1e-5, "ranges"), (4, 5, 1e-4, "reflectivities"), (5, 6, 0, "returns")):
-            expect(np.abs(found[:, c] - turn[:, of]).max() <= most, f"{name}: {what}")
-        text = "\n".join(head["notes"])
-        expect(names(text, "2 packets ... missing") == bool(lost), f"{name}: {text}")
-        print(f"{name}: {len(found)} returns as written")
-    packets, _ = packets_of(False, product=0xA1, n=5)
-    bags.write_mcap(bag, [("/velodyne_packets", "velodyne_msgs/VelodyneScan", T0, {"header": {"stamp": T0, "frame_id": "velodyne"}, "packets": packets})])
-    expect("VLS-128" in run("info", bag, code=3), "packets of another product")
-    bags.TYPES["robosense_msgs/RobosenseScan"] = bags.TYPES["std_msgs/String"]
-    bags.write_mcap(bag, [("/packets", "robosense_msgs/RobosenseScan", T0, {"data": "x"})])
-    expect("nebula" in run("info", bag, code=3), "packets that are not decoded")
-
-
-shutil.rmtree(WORK, ignore_errors=True)
-WORK.mkdir(parents=True)
-for test in (test_mcap, test_db3, test_ros1, test_ends, test_two, test_poses, test_livox, test_packets):
-    test()
-print("done")
+run_tests(test_mcap, test_db3, test_ros1, test_ends, test_two, test_poses, test_livox, programs=("lz4", "zstd"))

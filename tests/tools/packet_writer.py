@@ -19,13 +19,19 @@ TURN_S = 0.1
 VLP16_MM = [11.2, -0.7, 9.7, -2.2, 8.1, -3.7, 6.6, -5.1, 5.1, -6.6, 3.7, -8.1, 2.2, -9.7, 0.7, -11.2]
 
 
+def read_beams(name):
+    with open(TABLES / (name + ".csv")) as table:
+        return list(csv.DictReader(line for line in table if not line.startswith("#")))
+
+
 class Blocks:
     """A product of Velodyne or Hesai whose packets consist of blocks."""
 
     def __init__(self, name, lasers, unit_mm, cycle_us, hesai=False, first=0):
         self.name, self.lasers, self.unit_mm, self.cycle_us, self.hesai, self.first = name, lasers, unit_mm, cycle_us, hesai, first
-        with open(TABLES / (name + ".csv")) as table:
-            rows = list(csv.DictReader(line for line in table if not line.startswith("#")))
+        self.blocks = {"Pandar40P": 10, "Pandar64": 6, "XT32": 8}.get(name, 12)   # per packet
+        self.per_block = 2 if name == "VLP-16" else 1   # firings
+        rows = read_beams(name)
         self.elevation, self.azimuth, self.offset_us = np.zeros((3, lasers))
         self.up_m = np.array(VLP16_MM) / 1000 if name == "VLP-16" else np.zeros(lasers)
         for row in rows:
@@ -47,8 +53,7 @@ def directions(product, laser, azimuth_deg):
     return np.stack([np.cos(e) * x, np.cos(e) * y, np.sin(e)], -1)
 
 
-def to_walls(d, up_m=0.0):
-    start = np.multiply.outer(up_m, [0.0, 0.0, 1.0])
+def to_walls(d, start=0.0):
     with np.errstate(divide="ignore"):
         return ((np.copysign(WALLS, d) - start) / d).min(-1)
 
@@ -60,7 +65,7 @@ def firing(product, number, dual):
     nearer."""
     lasers = np.arange(product.lasers)
     t = number * product.cycle_us * 1e-6 + product.offset_us * 1e-6
-    r = to_walls(directions(product, lasers, t / TURN_S * 360), product.up_m) * 1000
+    r = to_walls(directions(product, lasers, t / TURN_S * 360), np.multiply.outer(product.up_m, [0.0, 0.0, 1.0])) * 1000
     mm = np.rint(r / product.unit_mm).astype(int) * product.unit_mm
     mm[(number + lasers) % 3 == 0] = 0
     bright = 90 + lasers
@@ -95,9 +100,7 @@ class Ouster:
         a, e = head - np.radians(self.azimuth), np.radians(self.elevation)
         d = np.stack([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)], -1)
         start = self.start_m * np.array([np.cos(head), np.sin(head), 0.0])
-        with np.errstate(divide="ignore"):
-            r = ((np.copysign(WALLS, d) - start) / d).min(-1)
-        mm = np.rint(1000 * (r + self.start_m)).astype(int)
+        mm = np.rint(1000 * (to_walls(d, start) + self.start_m)).astype(int)
         mm[(number + np.arange(self.lasers)) % 3 == 0] = 0
         return mm, 90 + np.arange(self.lasers)
 
@@ -120,17 +123,15 @@ class Ouster:
 def packets(product, n, dual=False, lost=(), zero_us=3_599_950_000):
     """Returns (ns after time 0 of the first firing's clock, bytes) of n packets, and the truth of
     the packets that are not lost."""
-    per_block = 2 if product.name == "VLP-16" else 1
-    blocks = {"Pandar40P": 10, "Pandar64": 6, "XT32": 8}.get(product.name, 12)
     flag = {"Pandar64": b"", "XT32": b""}.get(product.name, b"\xff\xee")
     pad = b"\0" if product.name == "XT32" else b""
     out, truths, number = [], [], 0
     for k in range(n):
         body, truth, first = b"", [], number
-        for b in range(0, blocks, 2 if dual else 1):
+        for b in range(0, product.blocks, 2 if dual else 1):
             azimuth = round(number * product.cycle_us * 1e-6 / TURN_S * 36000) % 36000
             both = [flag + struct.pack("<H", azimuth)] * 2
-            for _ in range(per_block):
+            for _ in range(product.per_block):
                 values, t = firing(product, number, dual)
                 truth += t
                 number += 1
@@ -172,10 +173,8 @@ class Alternating:
         self.name, self.cycle_us, self.start_us = name, cycle_us, start_us
         layouts = (TABLES.parents[1] / "readers" / "bag" / "packets" / "block_layouts.hpp").read_text()
         self.offset_us = np.array([[int(v) / 1000 for v in layouts.split(f"LaserFiringTimes {array} = {{")[1].split("}")[0].split(",")] for array in arrays])
-        with open(TABLES / (name + ".csv")) as table:
-            rows = list(csv.DictReader(line for line in table if not line.startswith("#")))
         self.elevation, self.azimuth = np.zeros((2, self.lasers))
-        for row in rows:
+        for row in read_beams(name):
             self.elevation[int(row["channel"]) - 1] = float(row["elevation_deg"])
             self.azimuth[int(row["channel"]) - 1] = -float(row["azimuth_offset_deg"])
 
