@@ -17,7 +17,6 @@
 #include "base/bytes.hpp"
 #include "base/codecs/byte_reader.hpp"
 #include "log/readers/bag/messages.hpp"
-#include "log/readers/bag/packets/livox.hpp"
 #include "log/readers/bag/packets/ouster.hpp"
 #include "log/readers/bag/packets/packet_log.hpp"
 #include "log/readers/bag/packets/packet_messages.hpp"

@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Writes scans as the packets that a LiDAR sends. Ranges, azimuths and times are rounded
-// in the same way as in the sensor. The block order, the firing times and the packet
-// counters follow the manuals of the makers. load_sequence() can read these packets.
+// Writes scans as the packets that a LiDAR sends. Rounding, block order, firing times and
+// packet counters follow the manuals. load_sequence() can read these packets.
 #pragma once
 
 #include <cstdint>
@@ -19,25 +18,20 @@ namespace relidar {
 
 /// A datagram of a LiDAR.
 struct SensorPacket {
-    /// Time of the packet since 1970. The product determines which time this is. Velodyne
-    /// and Hesai QT64: the time of the first firing. Other Hesai: the time after the last
-    /// firing. Ouster: the time of the last column.
+    /// Time since 1970. Velodyne and Hesai QT64: of the first firing. Other Hesai: after
+    /// the last firing. Ouster: of the last column.
     std::int64_t time_ns = 0;
     std::string bytes;
 };
 
-/// Options for PacketEncoder.
 struct PacketOptions {
-    /// Time since 1970, in nanoseconds, that corresponds to time 0 of the log.
-    std::int64_t start_ns = 0;
-    int returns = 1;  ///< returns per ray, 1 or 2
-    /// Packet format of an Ouster (udp_profile_lidar). If the text is empty, the encoder
-    /// chooses RNG19_RFL8_SIG16_NIR16, or RNG19_RFL8_SIG16_NIR16_DUAL for two returns per
-    /// ray.
+    std::int64_t start_ns = 0;  ///< time since 1970 that corresponds to time 0 of the log
+    int returns = 1;            ///< returns per ray, 1 or 2
+    /// Packet format of an Ouster (udp_profile_lidar). Empty: RNG19_RFL8_SIG16_NIR16, or
+    /// RNG19_RFL8_SIG16_NIR16_DUAL for two returns per ray.
     std::string ouster_profile = {};
     /// True: the times of the scans jitter, because a computer stamped the packets when
-    /// they arrived. The encoder then counts firings by their azimuths instead of their
-    /// times.
+    /// they arrived. Firings are then counted by their azimuths instead of their times.
     bool times_jitter = false;
 };
 
@@ -49,14 +43,14 @@ struct PacketCalibrationFile {
 
 /// Returns the names of the sensors whose packets can be written, for messages.
 std::string format_packet_sensor_names();
-/// Returns the packet format in the metadata of an Ouster (udp_profile_lidar). Returns an
-/// empty text if the file is not the metadata of an Ouster or does not contain a format.
+/// Returns the packet format (udp_profile_lidar) in the metadata of an Ouster, or an
+/// empty text if the file is something else.
 std::string read_ouster_packet_format(const std::filesystem::path& metadata_file);
 
 /// Converts the scans of a sensor to packets. A packet holds a fixed number of firings,
-/// so it may contain the end of one scan and the start of the next. An extra packet
-/// without returns is sent after the last scan and before a long gap. From this packet,
-/// drivers detect the end of a scan.
+/// so it may contain the end of one scan and the start of the next. Drivers detect the
+/// end of a scan by an extra packet without returns after the last scan and before a long
+/// gap.
 class PacketEncoder {
 public:
     /// @param sensor  sensor whose name selects the packet format
@@ -72,10 +66,10 @@ public:
     /// @throws UsageError if the rays have no firing times or do not belong to the
     /// sensor. Also if a ray was fired before the end of the previous scan
     std::vector<SensorPacket> encode_scan_as_packets(const Scan& scan, double time_s);
-    /// Returns the remaining packets. Must be called after the last scan.
+    /// Returns the remaining packets, after the last scan.
     std::vector<SensorPacket> flush_remaining_packets();
-    /// Returns the calibration of the sensor as a file. Must be called after the last
-    /// scan, because the calibration of an Ouster contains the azimuths of all firings.
+    /// Must be called after the last scan, because the calibration of an Ouster contains
+    /// the azimuths of all firings.
     PacketCalibrationFile get_packet_calibration() const;
     int get_udp_port() const;  ///< UDP port to which the sensor usually sends
 
@@ -84,11 +78,10 @@ private:
     std::unique_ptr<Impl> impl_;
 };
 
-/// Writes packets to a network capture (pcap with nanoseconds). Each packet is a UDP
-/// datagram from 192.168.1.201 to all receivers.
+/// Writes a network capture (pcap with nanoseconds). Each packet is a UDP datagram from
+/// 192.168.1.201 to all receivers.
 class PcapWriter {
 public:
-    /// Creates the file.
     /// @param port  destination port of the datagrams
     /// @throws DataError if the file cannot be written
     PcapWriter(const std::filesystem::path& file, int port);
@@ -103,9 +96,8 @@ private:
     std::uint16_t n_written_ = 0;
 };
 
-/// Writes the scans of a log as a network capture of LiDAR packets. The log must have a
-/// single LiDAR. The calibration is written to a second file with the same name and the
-/// ending .csv or .json.
+/// Writes the scans of a log with a single LiDAR as a network capture, and the
+/// calibration as a second file with the ending .csv or .json.
 /// @return number of packets
 /// @throws UsageError if the log has several LiDARs, or in the same cases as
 /// PacketEncoder

@@ -6,9 +6,6 @@
 #include <algorithm>
 #include <cmath>
 
-#include <fmt/format.h>
-
-#include <relidar/base/error.hpp>
 #include <relidar/base/math.hpp>
 #include <relidar/log/sensor_pattern.hpp>
 
@@ -22,12 +19,10 @@ namespace {
 // maximum angle between a beam and its nominal elevation
 constexpr double kMostAngle_rad = 1.0 * kPi / 180.0;
 constexpr double kMostRange = 65535.0;
-constexpr std::size_t kNoRing = std::size_t(-1);  ///< for a laser that does not fire
+constexpr std::size_t kNoRing = std::size_t(-1);  // for a laser that does not fire
 
-/// Throws if the beam angles of a sensor differ from those of the product. Drivers
-/// compute points with the angles of the product, so other angles would give wrong
-/// points.
-/// @param product_beams  beams of the product
+/// Throws if the beam angles of a sensor differ from those of the product, with which
+/// drivers compute points.
 void require_beams_of_product(const PacketLayout& layout, const std::vector<PacketBeam>& product_beams,
                               const SpinningSensor& sensor) {
     const auto nominal = std::get<SpinningSensor>(find_built_in_sensor(layout.sensor)->pattern);
@@ -38,14 +33,11 @@ void require_beams_of_product(const PacketLayout& layout, const std::vector<Pack
         });
     if (!fits)
         fail<UsageError>(
-            "cannot write packets of {}: found {} beams whose elevations differ from the data sheet, "
-            "expected the {} beams of this sensor",
+            "cannot write packets of {}: found {} beams, expected the {} beams of the data sheet",
             layout.sensor, sensor.beams.size(), nominal.beams.size());
     if (!sensor.clockwise)
-        fail<UsageError>(
-            "cannot write packets of {}: the sensor turns counter-clockwise, expected a sensor that turns "
-            "clockwise",
-            layout.sensor);
+        fail<UsageError>("cannot write packets of {}: it turns counter-clockwise, expected clockwise",
+                         layout.sensor);
 }
 
 }  // namespace
@@ -75,13 +67,12 @@ BlockWriter::BlockWriter(const PacketLayout& layout, const SpinningSensor& senso
       sequence_deg_(360e-6 * layout.cycle_us / sensor.period_s),
       beams_(list_beams_of_packet_layout(layout)) {
     // Beams (rows) that the scan must have. A laser that fires in both firing sequences
-    // of the sensor is twice in `beams_`. If the scan stores each sequence in a separate
-    // column, a laser has only one row. So its second beam is removed.
+    // is twice in `beams_`. It has one row if the scan stores each sequence in a column.
     std::vector<PacketBeam> fired = beams_;
-    const auto is_repeat = [](const PacketBeam& one, const PacketBeam& other) {
-        return one.line == other.line;
-    };
-    if (columns_per_firing_ > 1) fired.erase(std::unique(fired.begin(), fired.end(), is_repeat), fired.end());
+    if (columns_per_firing_ > 1) {
+        const auto repeats = std::ranges::unique(fired, {}, &PacketBeam::line);
+        fired.erase(repeats.begin(), repeats.end());
+    }
     require_beams_of_product(layout, fired, sensor);
     if (layout.n_blocks % (layout.banks * std::size_t(returns_)) != 0)
         fail<UsageError>("cannot write packets of {}: found {} returns per ray, expected 1", layout.sensor,
@@ -97,8 +88,7 @@ BlockWriter::BlockWriter(const PacketLayout& layout, const SpinningSensor& senso
     }
 }
 
-/// Computes the mean delay of a laser after the start of a firing sequence, over all
-/// sequences in which the laser fires.
+/// Mean delay of a laser after the start of a firing sequence, over all its sequences.
 double BlockWriter::compute_mean_laser_delay_us(std::size_t laser) const {
     double sum_us = 0.0, n = 0.0;
     for (const PacketBeam& beam : beams_) {
@@ -113,7 +103,7 @@ int BlockWriter::get_packets_per_firing() const {
     return int(std::max<std::size_t>(count_blocks_per_firing() / layout_.n_blocks, 1));
 }
 
-int BlockWriter::get_number_of_firings_per_packet() const {
+int BlockWriter::firings_per_packet() const {
     return int(layout_.n_blocks * std::size_t(get_packets_per_firing()) * layout_.firings /
                count_blocks_per_firing());
 }
@@ -124,9 +114,8 @@ std::vector<FiringColumn> BlockWriter::merge_scan_columns_into_firings(
     std::vector<FiringColumn> firings;
     for (std::size_t c = 0; c < scan_columns.size(); ++c) {
         FiringColumn& firing = firings.emplace_back(std::move(scan_columns[c]));
-        // In each firing, the lasers fire in two sequences. The scan stores these in two
-        // neighbouring columns. If the second column is missing, the second sequence has
-        // no returns.
+        // The scan stores the two sequences of a firing in neighbouring columns. If the
+        // second column is missing, the second sequence has no returns.
         const bool has_next = c + 1 < scan_columns.size() &&
                               scan_columns[c + 1].time_s - firing.time_s < 1.5e-6 * layout_.cycle_us;
         const std::vector<std::array<LaserReturn, 2>> none(firing.returns.size());

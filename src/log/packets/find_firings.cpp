@@ -5,9 +5,6 @@
 #include <algorithm>
 #include <cmath>
 
-#include <fmt/format.h>
-
-#include <relidar/base/error.hpp>
 #include <relidar/base/math.hpp>
 
 #include "base/fail.hpp"
@@ -21,7 +18,7 @@ constexpr double kMinRevolutionFraction = 0.05;  // minimum part of a turn that 
 constexpr double kSameFiring_us = 1.0;
 constexpr double kFar_m = 1e4;  // distance at which the direction of a ray without a return is computed
 
-/// For each firing (all lasers at one azimuth) of a scan, finds the ray of each ring.
+/// Finds the ray of each ring in a firing of a scan.
 class FiringRayTable {
 public:
     FiringRayTable(const Scan& scan, const SpinningSensor& sensor) : columns_(scan.rays.columns) {
@@ -102,22 +99,16 @@ FiringColumn make_firing_from_rays(const Scan& scan, const FiringRayTable& firin
 /// them. Uses the nearest firing with a return, and the rotation of the head between the
 /// two firings.
 void correct_times_of_empty_firings(std::vector<FiringColumn>& firings, double rotation_period_s) {
-    const auto n = std::ptrdiff_t(firings.size());
-    std::vector<std::ptrdiff_t> before(firings.size(), -1), after(firings.size(), -1);
-    for (std::ptrdiff_t i = 0; i < n; ++i) {
-        if (firings[std::size_t(i)].has_returns) before[std::size_t(i)] = i;
-        else if (i > 0) before[std::size_t(i)] = before[std::size_t(i - 1)];
-    }
-    for (std::ptrdiff_t i = n; i-- > 0;) {
-        if (firings[std::size_t(i)].has_returns) after[std::size_t(i)] = i;
-        else if (i + 1 < n) after[std::size_t(i)] = after[std::size_t(i + 1)];
-    }
-    for (std::ptrdiff_t i = 0; i < n; ++i) {
-        const std::ptrdiff_t left = before[std::size_t(i)], right = after[std::size_t(i)];
-        if (left == i || (left < 0 && right < 0)) continue;
-        const bool is_right = left < 0 || (right >= 0 && right - i < i - left);
+    std::vector<std::ptrdiff_t> lit;  // firings with returns
+    for (std::size_t i = 0; i < firings.size(); ++i)
+        if (firings[i].has_returns) lit.push_back(std::ptrdiff_t(i));
+    if (lit.empty()) return;
+    for (std::ptrdiff_t i = 0; i < std::ssize(firings); ++i) {
         FiringColumn& column = firings[std::size_t(i)];
-        const FiringColumn& nearest_column = firings[std::size_t(is_right ? right : left)];
+        if (column.has_returns) continue;
+        const auto right = std::ranges::upper_bound(lit, i);
+        const bool is_right = right == lit.begin() || (right != lit.end() && *right - i < i - *(right - 1));
+        const FiringColumn& nearest_column = firings[std::size_t(is_right ? *right : *(right - 1))];
         double turned_deg = std::fmod(column.azimuth_deg - nearest_column.azimuth_deg + 720.0, 360.0);
         if (is_right) turned_deg -= 360.0;
         column.time_s = nearest_column.time_s + turned_deg / 360.0 * rotation_period_s;
@@ -132,11 +123,11 @@ std::vector<FiringColumn> extract_firings(const Scan& scan, double scan_time_s, 
     const auto [first, last] = std::ranges::minmax(scan.rays.time_offset_s);
     if (!(double(last - first) > kMinRevolutionFraction * sensor.period_s))
         fail<UsageError>(
-            "cannot write packets of {}: the rays of a scan were fired within {:.3g} s, expected the {:.3g} "
-            "s of one revolution; motion-compensated scans have no firing times",
+            "cannot write packets of {}: the rays of a scan were fired within {:.3g} s, expected {:.3g} s; "
+            "motion-compensated scans have no firing times",
             sensor.name, last - first, sensor.period_s);
     // In a recorded scan, ray times include the firing delay of each laser. In a rendered
-    // scan, all lasers fire simultaneously. Checks which case fits this scan better.
+    // scan, all lasers fire simultaneously. Uses what fits this scan better.
     const std::vector<double> no_offset(beam_delays_us.size(), 0.0);
     const bool has_laser_times = compute_firing_time_spread_us(scan, image, beam_delays_us) <
                                  compute_firing_time_spread_us(scan, image, no_offset);
@@ -155,10 +146,10 @@ std::vector<FiringColumn> extract_firings(const Scan& scan, double scan_time_s, 
     };
     std::ranges::stable_sort(columns, {}, turns_since_middle);
     // A log may contain the same firing in two columns. Removes the second copy.
-    const auto is_repeat = [&](const FiringColumn& before, const FiringColumn& after) {
-        return 1e6 * std::abs(before.time_s - after.time_s) < kSameFiring_us;
-    };
-    columns.erase(std::unique(columns.begin(), columns.end(), is_repeat), columns.end());
+    const auto repeats = std::ranges::unique(columns, [](const FiringColumn& a, const FiringColumn& b) {
+        return 1e6 * std::abs(a.time_s - b.time_s) < kSameFiring_us;
+    });
+    columns.erase(repeats.begin(), repeats.end());
     for (FiringColumn& column : columns) column.time_s += scan_time_s;
     return columns;
 }

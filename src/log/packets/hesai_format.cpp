@@ -17,7 +17,6 @@
 namespace relidar::packets {
 namespace {
 
-constexpr int kHesaiPort = 2368;
 constexpr std::uint8_t kSingleReturn = 0x37, kLastAndStrongest = 0x39, kFactory = 0x42;
 constexpr std::uint8_t kUnit_mm = 4;
 constexpr std::int64_t kSecond_ns = 1'000'000'000;
@@ -66,34 +65,23 @@ void append_crc32(std::string& bytes, std::size_t first_byte) {
     append_binary_value(bytes, sum);
 }
 
-class HesaiFormat : public PacketFormat {
+class HesaiFormat : public BlockWriter {
 public:
     HesaiFormat(const HesaiProduct& product, const SpinningSensor& sensor, const PacketOptions& options)
-        : product_(product), sensor_(sensor), blocks_(find_packet_layout(product.layout), sensor, options) {}
-
-    int get_udp_port() const override { return kHesaiPort; }
-    int firings_per_packet() const override { return blocks_.get_number_of_firings_per_packet(); }
-    int get_packets_per_firing() const override { return blocks_.get_packets_per_firing(); }
-    int get_scan_columns_per_firing() const override { return blocks_.get_scan_columns_per_firing(); }
-    std::vector<FiringColumn> merge_scan_columns_into_firings(
-        std::vector<FiringColumn> columns) const override {
-        return blocks_.merge_scan_columns_into_firings(std::move(columns));
-    }
-    double get_firing_period_us() const override {
-        return blocks_.layout().cycle_us * double(blocks_.layout().count_firing_sequences());
-    }
-    std::vector<double> get_beam_delays_us() const override { return blocks_.get_beam_delays_us(); }
+        : BlockWriter(find_packet_layout(product.layout), sensor, options),
+          product_(product),
+          sensor_(sensor) {}
 
     PacketCalibrationFile make_calibration_file(const std::vector<bool>&) const override {
-        std::vector<std::string> lines(blocks_.layout().count_lasers_per_firing());
+        const std::vector<double> offsets_us = get_beam_delays_us();
+        std::vector<std::string> lines(layout().count_lasers_per_firing());
         for (std::size_t ring = 0; ring < sensor_.beams.size(); ++ring) {
             const Beam& beam = sensor_.beams[ring];
-            // Azimuth at which the laser is mounted in the rotating head. The azimuth
-            // offset of the beam also includes the rotation of the head during the firing
-            // delay of the laser, so this rotation is subtracted.
+            // Azimuth at which the laser is mounted in the head, without the rotation of
+            // the head during the firing delay of the laser.
             const double azimuth_rad =
-                -beam.azimuth_offset_rad - 2e-6 * kPi / sensor_.period_s * blocks_.get_beam_delays_us()[ring];
-            const std::size_t laser = blocks_.get_laser_of_ring(ring);
+                -beam.azimuth_offset_rad - 2e-6 * kPi / sensor_.period_s * offsets_us[ring];
+            const std::size_t laser = get_laser_of_ring(ring);
             lines[laser] = fmt::format("{},{:.4f},{:.4f}\n", laser + 1, beam.elevation_rad * 180.0 / kPi,
                                        azimuth_rad * 180.0 / kPi);
         }
@@ -104,17 +92,15 @@ public:
 
     SensorPacket encode_packet(std::span<const FiringColumn> columns,
                                std::uint32_t packet_number) const override {
-        SensorPacket packet{blocks_.compute_packet_time_ns(columns, packet_number, &FiringColumn::time_s),
-                            {}};
-        const std::int64_t clock_ns =
-            blocks_.compute_packet_time_ns(columns, packet_number, &FiringColumn::clock_s);
+        SensorPacket packet{compute_packet_time_ns(columns, packet_number, &FiringColumn::time_s), {}};
+        const std::int64_t clock_ns = compute_packet_time_ns(columns, packet_number, &FiringColumn::clock_s);
         std::string& bytes = packet.bytes;
         bytes.append(product_.header.begin(), product_.header.begin() + std::ptrdiff_t(product_.n_header));
-        if (product_.n_header == 12 && blocks_.has_dual_returns()) {
+        if (product_.n_header == 12 && has_dual_returns()) {
             bytes[8] = 1;   // block that contains the last return (1: first block)
             bytes[10] = 2;  // number of returns
         }
-        blocks_.append_blocks(bytes, columns, packet_number, 1e-3 * kUnit_mm);
+        append_blocks(bytes, columns, packet_number, 1e-3 * kUnit_mm);
         if (product_.has_checksums) {
             append_crc32(bytes, product_.n_header);
             // safety field of a sensor without faults
@@ -126,7 +112,7 @@ public:
         const std::size_t tail_offset = bytes.size();
         bytes.append(product_.reserved, '\0');
         write_operation_mode_and_firing_sequences(bytes, packet_number);
-        const std::uint8_t mode = blocks_.has_dual_returns() ? kLastAndStrongest : kSingleReturn;
+        const std::uint8_t mode = has_dual_returns() ? kLastAndStrongest : kSingleReturn;
         const auto speed_rpm = std::uint16_t(std::lround(60.0 / sensor_.period_s));
         const std::int64_t time_us = (clock_ns + 500) / 1000, second_us = kSecond_ns / 1000;
         if (product_.is_mode_first) append_binary_value(bytes, mode);
@@ -145,34 +131,29 @@ public:
 private:
     const HesaiProduct& product_;
     SpinningSensor sensor_;
-    BlockWriter blocks_;
 
-    /// Writes the operation mode of the sensor. If its lasers fire in two alternating
-    /// sequences, also writes which sequence each block of the packet contains.
+    /// Also writes which firing sequence each block of the packet contains.
     void write_operation_mode_and_firing_sequences(std::string& bytes, std::uint32_t packet_number) const {
-        const PacketLayout& layout = blocks_.layout();
+        const PacketLayout& layout = this->layout();
         bytes.back() = char(product_.operation_mode);
         if (layout.part_rule == FiringSequenceRule::mode_flag)
-            bytes[layout.part_at] = char(1 - blocks_.compute_firing_sequence_index(0, packet_number));
+            bytes[layout.part_at] = char(1 - compute_firing_sequence_index(0, packet_number));
         if (layout.part_rule != FiringSequenceRule::azimuth_state) return;
         for (std::size_t block = 0; block < layout.n_blocks; ++block)
             bytes[layout.part_at + 1] |=
-                char(blocks_.compute_firing_sequence_index(block, packet_number) << (6 - 2 * block));
+                char(compute_firing_sequence_index(block, packet_number) << (6 - 2 * block));
     }
 
-    /// Appends year, month, day, hour, minute and second in UTC, with one byte each.
     void append_utc_date_and_time(std::string& bytes, std::int64_t unix_s) const {
         using namespace std::chrono;
         const sys_seconds time{seconds(unix_s)};
         const sys_days day = floor<days>(time);
         const year_month_day date(day);
         const hh_mm_ss clock(time - day);
-        append_binary_value(bytes, std::uint8_t(int(date.year()) - product_.first_year));
-        append_binary_value(bytes, std::uint8_t(unsigned(date.month())));
-        append_binary_value(bytes, std::uint8_t(unsigned(date.day())));
-        append_binary_value(bytes, std::uint8_t(clock.hours().count()));
-        append_binary_value(bytes, std::uint8_t(clock.minutes().count()));
-        append_binary_value(bytes, std::uint8_t(clock.seconds().count()));
+        for (const long value : {long(int(date.year()) - product_.first_year), long(unsigned(date.month())),
+                                 long(unsigned(date.day())), long(clock.hours().count()),
+                                 long(clock.minutes().count()), long(clock.seconds().count())})
+            append_binary_value(bytes, std::uint8_t(value));
     }
 };
 
@@ -192,8 +173,8 @@ std::unique_ptr<PacketFormat> make_hesai_format(const SpinningSensor& sensor, co
     for (const HesaiProduct& product : kHesais) {
         const PacketLayout& layout = find_packet_layout(product.layout);
         if (sensor.name != layout.sensor) continue;
-        // Chooses the product whose time between two scan columns is closest to that of
-        // `sensor`. Adds 1 to the relative error if the numbers of beams differ.
+        // Chooses the product with the nearest time between two scan columns. The error
+        // is relative, plus 1 if the numbers of beams differ.
         const double step_us = 1e6 * sensor.period_s / sensor.columns;
         const double expected_us = layout.cycle_us * double(layout.count_firing_sequences()) /
                                    count_scan_columns_per_firing(layout, sensor);

@@ -7,10 +7,8 @@
 #include <array>
 #include <cmath>
 
-#include <fmt/format.h>
 #include <nlohmann/json.hpp>
 
-#include <relidar/base/error.hpp>
 #include <relidar/base/math.hpp>
 
 #include "base/bytes.hpp"
@@ -28,9 +26,8 @@ constexpr std::size_t kEndBytes = 32;  // size of the header and of the footer o
 // number of encoder ticks per turn in the legacy packet format
 constexpr std::uint32_t kEncoderTicks = 90112;
 
-/// Returns the first and the last column of the smallest azimuth window that contains all
-/// columns in which the sensor fires. If the last column is less than the first, the
-/// window crosses the end of the range image.
+/// Returns the first and the last column of the smallest azimuth window with all columns
+/// in which the sensor fires. The window may cross the end of the range image.
 std::array<int, 2> find_column_window(const std::vector<bool>& column_has_fired) {
     const int n = int(column_has_fired.size());
     // Finds the longest gap without firings. `begin` is the first column after it.
@@ -47,7 +44,7 @@ std::array<int, 2> find_column_window(const std::vector<bool>& column_has_fired)
 }
 
 /// Returns the metadata of an Ouster sensor as JSON text. The x axis of Ouster's LiDAR
-/// frame points backward, relidar's points forward. The metadata contain the transform.
+/// frame points backward; the metadata contain the transform.
 std::string make_ouster_metadata(const SpinningSensor& sensor, const std::string& packet_profile,
                                  const std::array<int, 2>& column_window) {
     // In Ouster's metadata, the product line of "OS1-64" is called "OS-1-64".
@@ -90,10 +87,8 @@ public:
               make_ouster_metadata(sensor, choose_packet_profile(options), {0, sensor.columns - 1}),
               sensor.name)) {
         if (format_->profile->returns < options.returns)
-            fail<UsageError>(
-                "cannot write packets of {0}: the packet format {1} has only one return per ray, expected a "
-                "format with two returns",
-                sensor.name, format_->profile->name);
+            fail<UsageError>("cannot write packets of {}: the format {} has one return per ray, expected two",
+                             sensor.name, format_->profile->name);
     }
 
     int get_udp_port() const override { return kOusterPort; }
@@ -127,18 +122,14 @@ public:
         }
         for (const FiringColumn& column : columns) {
             const std::int64_t time_ns = convert_log_time_to_unix_ns(column.time_s, start_ns_);
-            const double fractional_column =
-                (column.azimuth_deg - 180.0) / 360.0 * get_fixed_columns_per_revolution();
-            const auto position = int((std::lround(fractional_column) + get_fixed_columns_per_revolution()) %
-                                      get_fixed_columns_per_revolution());
+            const int n = format_->sensor.columns;
+            const auto position = int((std::lround((column.azimuth_deg - 180.0) / 360.0 * n) + n) % n);
             append_binary_value(packet.bytes, std::uint64_t(std::max<std::int64_t>(time_ns, 0)));
             append_binary_value(packet.bytes, std::uint16_t(position));
             if (is_legacy) {
                 append_binary_value(packet.bytes, frame);
-                append_binary_value(
-                    packet.bytes,
-                    std::uint32_t(position) *
-                        (kEncoderTicks / std::uint32_t(this->get_fixed_columns_per_revolution())));
+                append_binary_value(packet.bytes,
+                                    std::uint32_t(position) * (kEncoderTicks / std::uint32_t(n)));
             } else {
                 append_binary_value(packet.bytes, std::uint16_t(column.is_measured));
             }
@@ -171,9 +162,8 @@ private:
         }
     }
 
-    /// Writes the range and the reflectivity of a return into a pixel. Ouster measures
-    /// ranges from the axis of rotation. Therefore the distance of the beam origin from
-    /// the axis is added.
+    /// Ouster measures ranges from the axis of rotation. Therefore the distance of the
+    /// beam origin from the axis is added.
     void write_return_to_pixel(std::string& pixel, std::size_t byte_offset, const LaserReturn& laser_return,
                                double beam_origin_offset_m) const {
         const OusterProfile& profile = *format_->profile;

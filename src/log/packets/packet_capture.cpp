@@ -2,14 +2,9 @@
 // Writes network captures in the pcap format with nanoseconds (draft-ietf-opsawg-pcap).
 // Each packet becomes an Ethernet frame with IPv4 and UDP. Also writes all scans of a log
 // as one capture.
-#include <algorithm>
 #include <bit>
-#include <cmath>
 #include <system_error>
 
-#include <fmt/format.h>
-
-#include <relidar/base/error.hpp>
 #include <relidar/base/files.hpp>
 #include <relidar/log/log_time.hpp>
 #include <relidar/log/packets.hpp>
@@ -74,13 +69,9 @@ std::string read_ouster_packet_format(const fs::path& metadata_file) {
 PcapWriter::PcapWriter(const fs::path& file, int port)
     : file_(file), out_(file, std::ios::binary), port_(port) {
     std::string head;
-    append_binary_value(head, kMagic);
-    append_binary_value(head, std::uint16_t(2));
-    append_binary_value(head, std::uint16_t(4));
-    append_binary_value(head, std::int32_t(0));
-    append_binary_value(head, std::uint32_t(0));
-    append_binary_value(head, kMostBytes);
-    append_binary_value(head, kEthernetLink);
+    constexpr std::uint32_t kVersion_2_4 = 2 | 4 << 16;
+    for (const std::uint32_t value : {kMagic, kVersion_2_4, 0u, 0u, kMostBytes, kEthernetLink})
+        append_binary_value(head, value);
     out_ << head;
     require_successful_write(out_, file_);
 }
@@ -90,10 +81,9 @@ void PcapWriter::write_packets(const std::vector<SensorPacket>& packets) {
     for (const SensorPacket& packet : packets) {
         const std::string frame = wrap_in_ethernet_frame(packet.bytes, port_, n_written_++);
         std::string head;
-        append_binary_value(head, std::uint32_t(packet.time_ns / kSecond));
-        append_binary_value(head, std::uint32_t(packet.time_ns % kSecond));
-        append_binary_value(head, std::uint32_t(frame.size()));
-        append_binary_value(head, std::uint32_t(frame.size()));
+        for (const auto value : {packet.time_ns / kSecond, packet.time_ns % kSecond,
+                                 std::int64_t(frame.size()), std::int64_t(frame.size())})
+            append_binary_value(head, std::uint32_t(value));
         out_ << head << frame;
     }
     require_successful_write(out_, file_);
@@ -107,10 +97,8 @@ void PcapWriter::close_file() {
 std::size_t save_packets(const LidarSequence& sequence, const fs::path& file,
                          const ProgressReporter& progress) {
     if (sequence.lidars.size() != 1)
-        fail<UsageError>(
-            "cannot write '{}': the log has {} LiDARs, but a capture can only contain one; select it with "
-            "dataset.lidars",
-            file.string(), sequence.lidars.size());
+        fail<UsageError>("cannot write '{}': found {} LiDARs, expected one; select it with dataset.lidars",
+                         file.string(), sequence.lidars.size());
     PacketOptions options;
     options.start_ns = compute_time_shift_ns(sequence);
     options.times_jitter = true;

@@ -8,10 +8,6 @@
 #include <optional>
 #include <utility>
 
-#include <fmt/format.h>
-
-#include <relidar/base/error.hpp>
-
 #include "base/fail.hpp"
 #include "log/packets/packet_format.hpp"
 
@@ -62,37 +58,24 @@ struct PacketEncoder::Impl {
     double get_firing_period_s() const { return 1e-6 * format->get_firing_period_us(); }
     double get_firing_step_deg() const { return 360.0 * get_firing_period_s() / sensor.period_s; }
     std::int64_t get_firings_per_packet() const { return format->firings_per_packet(); }
-    bool has_fixed_column_azimuths() const { return format->get_fixed_columns_per_revolution() > 0; }
+    int n_fixed() const { return format->get_fixed_columns_per_revolution(); }
+    bool has_fixed_column_azimuths() const { return n_fixed() > 0; }
 
-    void require_expected_firing_period() const {
-        const double step_us = 1e6 * sensor.period_s / sensor.columns;
-        const double expected_us = format->get_firing_period_us() / format->get_scan_columns_per_firing();
-        if (has_fixed_column_azimuths() || std::abs(step_us / expected_us - 1.0) < kMostStepError) return;
-        fail<UsageError>(
-            "cannot write packets of {}: found {} columns in {} s, expected {:.0f} columns, because this "
-            "sensor fires every {} us",
-            sensor.name, sensor.columns, sensor.period_s, 1e6 * sensor.period_s / expected_us, expected_us);
-    }
-
-    /// Returns the column of a firing, for a sensor that fires at fixed azimuths.
+    /// Only for a sensor that fires at fixed azimuths.
     std::int64_t compute_firing_column_index(const FiringColumn& firing) const {
-        const double fractional_column =
-            (firing.azimuth_deg - kBehindSensor_deg) / 360.0 * format->get_fixed_columns_per_revolution();
+        const double fractional_column = (firing.azimuth_deg - kBehindSensor_deg) / 360.0 * n_fixed();
         if (std::abs(fractional_column - std::round(fractional_column)) > kMostColumnError)
             fail<UsageError>(
-                "cannot write packets of {}: found a column at an azimuth of {:.3f} degrees, expected a "
-                "multiple of {:.3f} degrees, because an Ouster fires at fixed azimuths",
-                sensor.name, firing.azimuth_deg, 360.0 / format->get_fixed_columns_per_revolution());
-        return (std::llround(fractional_column) + format->get_fixed_columns_per_revolution()) %
-               format->get_fixed_columns_per_revolution();
+                "cannot write packets of {}: found a column at {:.3f} degrees, expected a multiple of {:.3f}",
+                sensor.name, firing.azimuth_deg, 360.0 / n_fixed());
+        return (std::llround(fractional_column) + n_fixed()) % n_fixed();
     }
 
-    /// Returns the rounded number of firing periods from `anchor` to `firing`; 0 or
-    /// negative if `firing` is not in a later period than `anchor`.
+    /// Returns the rounded number of firing periods from `anchor` to `firing`.
     double count_firing_steps_between(const FiringClockAnchor& anchor, const FiringColumn& firing) const {
         const double by_time = (firing.time_s - anchor.time_s) / get_firing_period_s();
         if (has_fixed_column_azimuths()) {
-            const double n = format->get_fixed_columns_per_revolution();
+            const double n = n_fixed();
             const double turned =
                 std::fmod(double(compute_firing_column_index(firing) - anchor.position) + n * 1e6, n);
             return turned + n * std::round((by_time - turned) / n);
@@ -103,9 +86,8 @@ struct PacketEncoder::Impl {
         return std::round((turned_deg + 360.0 * turns) / get_firing_step_deg());
     }
 
-    /// Returns the number of firing periods from the last firing to `firing`. Returns 0
-    /// if `firing` is not later than the last firing and has no returns, so that the
-    /// caller can skip it.
+    /// Returns the number of firing periods from the last firing to `firing`, or 0 if
+    /// `firing` is not later and has no returns, so that the caller can skip it.
     /// @throws UsageError if a firing with returns is not later than the last firing
     std::int64_t count_firing_steps_from_last(const FiringColumn& firing) const {
         const double steps = count_firing_steps_between(*last, firing);
@@ -113,14 +95,13 @@ struct PacketEncoder::Impl {
         if (steps < 1.0)
             fail<UsageError>(
                 "cannot write packets of {}: a scan starts {:.3g} s before the end of the previous scan, "
-                "expected scans that do not overlap; one revolution of the sensor takes {:.3g} s",
-                sensor.name, last->time_s - firing.time_s, sensor.period_s);
+                "expected scans that do not overlap",
+                sensor.name, last->time_s - firing.time_s);
         return std::int64_t(steps);
     }
 
     /// Returns the position of the first firing within its packet. In a recorded log,
-    /// firing times jump at the border between two packets. This function searches for
-    /// the jumps, so that new packets begin at the same firings as the recorded packets.
+    /// firing times jump between two packets. New packets begin at the same firings.
     std::int64_t find_packet_slot_of_first_firing(const std::vector<FiringColumn>& firings_of_scan) const {
         if (has_fixed_column_azimuths()) return compute_firing_column_index(firings_of_scan.front());
         if (!options.times_jitter) return 1;
@@ -138,8 +119,8 @@ struct PacketEncoder::Impl {
         return get_firings_per_packet() - start;
     }
 
-    /// Sets the time of a firing on the sensor's clock. The clock has even steps. The
-    /// times in the log are uneven, because they depend on when packets were received.
+    /// The sensor's clock has even steps. The times in the log are uneven, because they
+    /// depend on when packets were received.
     void set_firing_clock_time(FiringColumn& firing, std::int64_t firing_index) {
         firing.clock_s = firing.time_s;
         if (!options.times_jitter || has_fixed_column_azimuths()) return;
@@ -154,8 +135,8 @@ struct PacketEncoder::Impl {
 
     /// Stores a firing in its packet. First writes all earlier packets.
     void store_firing_in_packet(FiringColumn firing, std::int64_t firing_index) {
-        // Sensor drivers need a firing that precedes the first revolution. If each packet
-        // holds only one firing, first writes an extra packet without returns.
+        // Drivers need a firing before the first revolution. If a packet holds only one
+        // firing, first writes a packet without returns.
         const bool needs_packet = get_firings_per_packet() == 1 && !has_fixed_column_azimuths();
         if (pending.empty())
             start_packet(needs_packet ? firing_index - 1 : firing_index / get_firings_per_packet());
@@ -168,9 +149,9 @@ struct PacketEncoder::Impl {
         pending[std::size_t(firing_index % get_firings_per_packet())] = std::move(firing);
     }
 
-    /// Adds firings without returns between the last firing and `next_firing`. Assumes
-    /// that the head rotates evenly between them. Used only for sensors that fire at any
-    /// azimuth.
+    /// Adds firings without returns between the last firing and `next_firing`, for
+    /// sensors that fire at any azimuth. Assumes that the head rotates evenly between
+    /// them.
     void fill_gap_before_firing(const FiringColumn& next_firing, std::int64_t next_firing_index) {
         const double turned_deg = std::remainder(next_firing.azimuth_deg - last->azimuth_deg, 360.0);
         const double n = double(next_firing_index - last->position);
@@ -191,7 +172,7 @@ struct PacketEncoder::Impl {
             last ? last->position + count_firing_steps_from_last(firing) : first_firing_index;
         if (last && position == last->position) return;
         if (has_fixed_column_azimuths()) {
-            fired[std::size_t(position % format->get_fixed_columns_per_revolution())] = true;
+            fired[std::size_t(position % n_fixed())] = true;
         } else if (last) {
             // Fills gaps at the end of a revolution, where a log can omit firings without
             // returns. A longer gap is a pause between scans and is not filled.
@@ -212,8 +193,8 @@ struct PacketEncoder::Impl {
         pending.assign(std::size_t(get_firings_per_packet()), FiringColumn{});
     }
 
-    /// The pending packet can contain firings that no scan contains. Computes their times
-    /// and azimuths from another firing and the nominal rotation rate.
+    /// Computes times and azimuths of firings that no scan contains, from another firing
+    /// and the nominal rotation rate.
     void fill_missing_firings() {
         const auto first =
             std::ranges::find_if(pending, &FiringColumn::has_time_and_azimuth) - pending.begin();
@@ -264,8 +245,14 @@ PacketEncoder::PacketEncoder(const SpinningSensor& sensor, const PacketOptions& 
         fail<UsageError>("cannot write packets of the sensor \"{}\", expected one of {}", sensor.name,
                          format_packet_sensor_names());
     impl_->offsets_us = impl_->format->get_beam_delays_us();
-    impl_->fired.resize(std::size_t(impl_->format->get_fixed_columns_per_revolution()));
-    impl_->require_expected_firing_period();
+    impl_->fired.resize(std::size_t(impl_->n_fixed()));
+    const double step_us = 1e6 * sensor.period_s / sensor.columns;
+    const double expected_us =
+        impl_->format->get_firing_period_us() / impl_->format->get_scan_columns_per_firing();
+    if (!impl_->has_fixed_column_azimuths() && !(std::abs(step_us / expected_us - 1.0) < kMostStepError))
+        fail<UsageError>(
+            "cannot write packets of {}: found {} columns in {} s, expected {:.0f}, one every {} us",
+            sensor.name, sensor.columns, sensor.period_s, 1e6 * sensor.period_s / expected_us, expected_us);
 }
 
 PacketEncoder::~PacketEncoder() = default;

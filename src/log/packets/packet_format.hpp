@@ -24,18 +24,16 @@ struct LaserReturn {
 
 /// All lasers of a rotating LiDAR at one azimuth of its head, with their returns.
 struct FiringColumn {
-    double time_s = 0.0;       ///< time at which the first laser fires, in the time of the log
-    double clock_s = 0.0;      ///< time at which the first laser fires, by the clock of the sensor
+    double time_s = 0.0;       ///< time of the first laser, in the time of the log
+    double clock_s = 0.0;      ///< the same by the clock of the sensor
     double azimuth_deg = 0.0;  ///< azimuth of the head, clockwise from the x axis, 0 to 360
     bool is_measured = false;  ///< false if the scans do not contain this firing
-    /// true if the scans do not contain this firing; time and azimuth are interpolated
-    bool is_filled = false;
+    bool is_filled = false;    ///< time and azimuth are interpolated
     bool has_returns = false;
     /// [rings] strongest and second strongest return of each beam, highest beam first;
     /// empty if no scan contains the firing
     std::vector<std::array<LaserReturn, 2>> returns = {};
 
-    /// Returns true if time and azimuth are set.
     bool has_time_and_azimuth() const { return is_measured || is_filled; }
 };
 
@@ -51,15 +49,11 @@ public:
     virtual ~PacketFormat() = default;
     virtual int get_udp_port() const = 0;
     virtual int firings_per_packet() const = 0;
-    /// Returns the time between two firings.
     virtual double get_firing_period_us() const = 0;
-    /// Returns the number of packets that one firing (all lasers at one azimuth) needs.
-    /// It is above 1 if the lasers fire in several sequences and each sequence has a
-    /// separate packet.
+    /// Packets of a firing: above 1 if each of several firing sequences has a packet.
     virtual int get_packets_per_firing() const { return 1; }
-    /// Returns the number of scan columns per firing (all lasers at one azimuth): 2 if
-    /// the lasers fire in two sequences and the scan stores each as a column, otherwise
-    /// 1.
+    /// Scan columns of a firing (all lasers at one azimuth): 2 if the lasers fire in two
+    /// sequences and the scan stores each as a column, otherwise 1.
     virtual int get_scan_columns_per_firing() const { return 1; }
     /// Converts scan columns to firings. If a scan stores the two sequences of a firing
     /// as two columns, joins them to one firing. Each of the two columns also has
@@ -68,16 +62,16 @@ public:
         std::vector<FiringColumn> scan_columns) const {
         return scan_columns;
     }
-    /// Returns the number of azimuths per turn at which the sensor fires. Column 0 is at
-    /// the back of the sensor. Returns 0 if the sensor can fire at any azimuth.
+    /// Number of azimuths per turn at which the sensor fires, column 0 at its back; 0 if
+    /// it can fire at any azimuth.
     virtual int get_fixed_columns_per_revolution() const { return 0; }
-    /// Returns the delay in microseconds of each beam after the first laser of a column.
+    /// [rings] delay of each beam after the first laser of a column
     virtual std::vector<double> get_beam_delays_us() const = 0;
     /// Returns the calibration file that other programs need to decode the packets.
     /// @param column_has_fired  [columns] true if the sensor fires at this column; empty
     /// if the sensor fires at any azimuth
-    virtual PacketCalibrationFile make_calibration_file(const std::vector<bool>& column_has_fired) const {
-        static_cast<void>(column_has_fired);
+    virtual PacketCalibrationFile make_calibration_file(
+        [[maybe_unused]] const std::vector<bool>& column_has_fired) const {
         return {};
     }
     /// Encodes one packet. Its bytes contain the time on the sensor's clock.
@@ -94,24 +88,30 @@ std::unique_ptr<PacketFormat> make_velodyne_format(const SpinningSensor& sensor,
 std::unique_ptr<PacketFormat> make_hesai_format(const SpinningSensor& sensor, const PacketOptions& options);
 std::unique_ptr<PacketFormat> make_ouster_format(const SpinningSensor& sensor, const PacketOptions& options);
 
-/// Returns the number of scan columns that form one firing: 2 if the lasers fire in two
-/// sequences and each sequence is a column, otherwise 1. Scans that were decoded from
-/// packets store both sequences in one column.
+/// See PacketFormat::get_scan_columns_per_firing(). Scans that were decoded from packets
+/// store both sequences in one column.
 int count_scan_columns_per_firing(const PacketLayout& layout, const SpinningSensor& sensor);
 
-/// Writes the blocks of a packet. Velodyne and Hesai use the same kind of block.
-class BlockWriter {
+/// Packets of Velodyne and Hesai, which consist of the same kind of blocks.
+class BlockWriter : public PacketFormat {
 public:
     /// @throws UsageError if `sensor` does not have the beams that `layout` describes
     BlockWriter(const PacketLayout& layout, const SpinningSensor& sensor, const PacketOptions& options);
 
+    int get_udp_port() const override { return 2368; }
+    int firings_per_packet() const override;
+    double get_firing_period_us() const override {
+        return layout_.cycle_us * double(layout_.count_firing_sequences());
+    }
+    int get_packets_per_firing() const override;
+    int get_scan_columns_per_firing() const override { return columns_per_firing_; }
+    std::vector<FiringColumn> merge_scan_columns_into_firings(
+        std::vector<FiringColumn> scan_columns) const override;
+    std::vector<double> get_beam_delays_us() const override { return offsets_us_; }
+
+protected:
     const PacketLayout& layout() const { return layout_; }
     bool has_dual_returns() const { return returns_ == 2; }
-    int get_number_of_firings_per_packet() const;
-    int get_packets_per_firing() const;
-    int get_scan_columns_per_firing() const { return columns_per_firing_; }
-    std::vector<FiringColumn> merge_scan_columns_into_firings(std::vector<FiringColumn> scan_columns) const;
-    const std::vector<double>& get_beam_delays_us() const { return offsets_us_; }
     /// Returns the manufacturer's number of the laser that measures a ring (row) of the
     /// scans, from 0.
     std::size_t get_laser_of_ring(std::size_t ring) const { return laser_of_[ring]; }
@@ -126,8 +126,7 @@ public:
                                         double FiringColumn::*firing_time_member) const;
 
 private:
-    /// What a block of a packet stores: indices of the firing sequence, of the group of
-    /// lasers, and of the return.
+    /// Indices of the firing sequence, of the group of lasers, and of the return.
     struct PacketBlockIndex {
         std::size_t part, bank, number;
     };
@@ -151,13 +150,12 @@ private:
                               const PacketBlockIndex& block_position, double range_unit_m) const;
 };
 
-/// Returns the layout with this name from the table kLayouts.
 const PacketLayout& find_packet_layout(const std::string& product_name);
 /// Returns the names of the Velodyne sensors whose packets can be written.
 std::vector<std::string> list_velodyne_sensor_names();
 std::vector<std::string> list_hesai_sensor_names();
 
-/// Converts a time of the log to nanoseconds since 1970.
+/// @return nanoseconds since 1970
 std::int64_t convert_log_time_to_unix_ns(double log_time_s, std::int64_t log_start_unix_ns);
 /// Converts the intensity of a return (0 to 1) to a one-byte reflectivity.
 std::uint8_t convert_intensity_to_byte(const LaserReturn& laser_return);

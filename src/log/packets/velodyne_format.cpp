@@ -8,7 +8,6 @@
 namespace relidar::packets {
 namespace {
 
-constexpr int kVelodynePort = 2368;
 constexpr std::uint8_t kStrongest = 0x37, kDual = 0x39;
 constexpr std::int64_t kHour_ns = 3'600'000'000'000;
 
@@ -19,32 +18,24 @@ struct VelodyneProduct {
 constexpr VelodyneProduct kVelodynes[] = {
     {"VLP-16", 0x22}, {"VLP-32C", 0x28}, {"HDL-32E", 0x21}, {"VLS-128", 0xA1}};
 
-class VelodyneFormat : public PacketFormat {
+class VelodyneFormat : public BlockWriter {
 public:
     VelodyneFormat(const VelodyneProduct& product, const SpinningSensor& sensor, const PacketOptions& options)
-        : code_(product.code), blocks_(find_packet_layout(product.sensor), sensor, options) {}
-
-    int get_udp_port() const override { return kVelodynePort; }
-    int firings_per_packet() const override { return blocks_.get_number_of_firings_per_packet(); }
-    double get_firing_period_us() const override { return blocks_.layout().cycle_us; }
-    std::vector<double> get_beam_delays_us() const override { return blocks_.get_beam_delays_us(); }
+        : BlockWriter(find_packet_layout(product.sensor), sensor, options), code_(product.code) {}
 
     SensorPacket encode_packet(std::span<const FiringColumn> columns,
                                std::uint32_t packet_number) const override {
-        SensorPacket packet{blocks_.compute_packet_time_ns(columns, packet_number, &FiringColumn::time_s),
-                            {}};
-        const std::int64_t clock_ns =
-            blocks_.compute_packet_time_ns(columns, packet_number, &FiringColumn::clock_s);
-        blocks_.append_blocks(packet.bytes, columns, packet_number, blocks_.layout().range_unit_m);
+        SensorPacket packet{compute_packet_time_ns(columns, packet_number, &FiringColumn::time_s), {}};
+        const std::int64_t clock_ns = compute_packet_time_ns(columns, packet_number, &FiringColumn::clock_s);
+        append_blocks(packet.bytes, columns, packet_number, layout().range_unit_m);
         append_binary_value(packet.bytes, std::uint32_t((clock_ns + 500) % kHour_ns / 1000));
-        append_binary_value(packet.bytes, blocks_.has_dual_returns() ? kDual : kStrongest);
+        append_binary_value(packet.bytes, has_dual_returns() ? kDual : kStrongest);
         append_binary_value(packet.bytes, code_);
         return packet;
     }
 
 private:
     std::uint8_t code_;
-    BlockWriter blocks_;
 };
 
 }  // namespace

@@ -9,6 +9,7 @@
 #include <map>
 #include <ostream>
 #include <set>
+#include <string_view>
 
 #include <gtest/gtest.h>
 
@@ -65,11 +66,11 @@ std::vector<SensorPacket> make_packets_of(const SpinningSensor& sensor, const Pa
                                           int n_scans, bool has_second_returns = false) {
     PacketEncoder encoder(sensor, options);
     std::vector<SensorPacket> packets;
+    const Scan scan = make_known_scan(sensor, has_second_returns);
     for (int k = 0; k < n_scans; ++k)
-        for (SensorPacket& packet : encoder.encode_scan_as_packets(
-                 make_known_scan(sensor, has_second_returns), 1.0 + sensor.period_s * k))
-            packets.push_back(std::move(packet));
-    for (SensorPacket& packet : encoder.flush_remaining_packets()) packets.push_back(std::move(packet));
+        std::ranges::copy(encoder.encode_scan_as_packets(scan, 1.0 + sensor.period_s * k),
+                          std::back_inserter(packets));
+    std::ranges::copy(encoder.flush_remaining_packets(), std::back_inserter(packets));
     return packets;
 }
 
@@ -125,6 +126,33 @@ TEST(Packets, OfAVlp16AreThoseOfItsManual) {
     }
 }
 
+/// Positions of fields in a Hesai packet.
+struct HesaiFields {
+    std::size_t n_bytes;
+    std::string_view head;
+    std::size_t mode_at, mode, rpm_at, date_at, us_at, number_at;
+};
+constexpr HesaiFields kXt32{
+    1080, {"\xEE\xFF\x06\x01\0\0\x20\x08\x01\x04\x02\x01", 12}, 1062, 0x39, 1063, 1065, 1071, 1076};
+constexpr HesaiFields kQt64{
+    1072, {"\xEE\xFF\x03\x01\0\0\x40\x04\0\x04\x01\x01", 12}, 1060, 0x37, 1054, 1062, 1056, 1068};
+constexpr HesaiFields kQt128{
+    1095, {"\xEE\xFF\x03\x02\0\0\x80\x02\x01\x04\x02\x05", 12}, 1073, 0x39, 1074, 1076, 1082, 1087};
+constexpr HesaiFields kOt128{
+    861, {"\xEE\xFF\x01\x04\0\0\x80\x02\0\x04\x01\x07", 12}, 817, 0x37, 818, 820, 826, 831};
+
+/// Checks the fields of packet `number`. Returns its time within the minute in seconds.
+double expect_fields(const std::string& bytes, const HesaiFields& fields, std::size_t number) {
+    EXPECT_EQ(bytes.size(), fields.n_bytes);
+    EXPECT_EQ(bytes.substr(0, 12), fields.head);
+    EXPECT_EQ(number_at<std::uint8_t>(bytes, fields.mode_at), fields.mode);
+    EXPECT_EQ(number_at<std::uint16_t>(bytes, fields.rpm_at), 600);
+    EXPECT_EQ(bytes.substr(fields.date_at, 5), std::string({123, 11, 14, 22, 13}));
+    EXPECT_EQ(number_at<std::uint32_t>(bytes, fields.number_at), number);
+    return number_at<std::uint8_t>(bytes, fields.date_at + 5) +
+           1e-6 * number_at<std::uint32_t>(bytes, fields.us_at);
+}
+
 /// Compares with the user manual of the PandarXT. The tail of a packet contains the
 /// return mode and the motor speed. The date, counted from 1900, the time within the
 /// second, a constant and the packet number follow.
@@ -133,16 +161,8 @@ TEST(Packets, OfAnXt32HaveModeDateAndNumber) {
         make_packets_of(make_sensor_named("XT32"), {.start_ns = kStart_ns, .returns = 2}, 1, true);
     for (std::size_t p = 0; p < packets.size(); ++p) {
         const std::string& bytes = packets[p].bytes;
-        ASSERT_EQ(bytes.size(), 1080u);
-        EXPECT_EQ(bytes.substr(0, 12), std::string("\xEE\xFF\x06\x01\0\0\x20\x08\x01\x04\x02\x01", 12));
-        EXPECT_EQ(number_at<std::uint8_t>(bytes, 1062), 0x39) << "last and strongest return";
-        EXPECT_EQ(number_at<std::uint16_t>(bytes, 1063), 600) << "turns per minute";
-        const std::string date = bytes.substr(1065, 5);
-        EXPECT_EQ(date, std::string({123, 11, 14, 22, 13}));
-        const std::int64_t time_us = std::int64_t(number_at<std::uint8_t>(bytes, 1070)) * 1'000'000 +
-                                     number_at<std::uint32_t>(bytes, 1071);
-        EXPECT_EQ(time_us, 20'000'000 + (packets[p].time_ns - kStart_ns + 500) / 1000);
-        EXPECT_EQ(number_at<std::uint32_t>(bytes, 1076), p);
+        const double time_s = expect_fields(bytes, kXt32, p);
+        EXPECT_EQ(std::llround(1e6 * time_s), 20'000'000 + (packets[p].time_ns - kStart_ns + 500) / 1000);
         for (std::size_t unit = 0; unit < 4 * 32; ++unit) {  // the last return precedes the strongest return
             const std::size_t at = 12 + 260 * (unit / 32) + 2 + 4 * (unit % 32);
             EXPECT_GE(number_at<std::uint16_t>(bytes, at), number_at<std::uint16_t>(bytes, at + 130));
@@ -160,17 +180,11 @@ TEST(Packets, OfAQt64HaveTheFieldsOfItsManual) {
     const Scan scan = make_known_scan(sensor);
     for (std::size_t p = 0; p < packets.size(); ++p) {
         const std::string& bytes = packets[p].bytes;
-        ASSERT_EQ(bytes.size(), 1072u);
-        EXPECT_EQ(bytes.substr(0, 12), std::string("\xEE\xFF\x03\x01\0\0\x40\x04\0\x04\x01\x01", 12));
-        EXPECT_EQ(number_at<std::uint16_t>(bytes, 1054), 600) << "turns per minute";
-        EXPECT_EQ(number_at<std::uint8_t>(bytes, 1060), 0x37) << "the strongest return";
-        EXPECT_EQ(bytes.substr(1062, 5), std::string({123, 11, 14, 22, 13}));
+        const double sent_s = expect_fields(bytes, kQt64, p);
         const double first = 4.0 * double(p) - 1.0;  // firing of the scans
         const double time_s =
             0.95 + (first + 0.5) * sensor.period_s / sensor.columns - (25.71 + 12.31) * 1e-6;
-        const double seconds = number_at<std::uint8_t>(bytes, 1067) - 20.0;
-        EXPECT_NEAR(seconds + 1e-6 * number_at<std::uint32_t>(bytes, 1056), time_s, 1.1e-6) << p;
-        EXPECT_EQ(number_at<std::uint32_t>(bytes, 1068), p);
+        EXPECT_NEAR(sent_s - 20.0, time_s, 1.1e-6) << p;
         for (std::size_t block = 0; block < 4 && p + 1 < packets.size(); ++block) {
             const double azimuth_deg = 90.0 + 180.0 + (first + double(block) + 0.5) * 0.6;
             EXPECT_NEAR(
@@ -192,18 +206,12 @@ TEST(Packets, OfAQt128AlternateBetweenItsLasers) {
     std::size_t n_lit = 0;
     for (std::size_t p = 0; p < packets.size(); ++p) {
         const std::string& bytes = packets[p].bytes;
-        ASSERT_EQ(bytes.size(), 1095u);
-        EXPECT_EQ(bytes.substr(0, 12), std::string("\xEE\xFF\x03\x02\0\0\x80\x02\x01\x04\x02\x05", 12));
+        const double sent_s = expect_fields(bytes, kQt128, p);
         EXPECT_EQ(number_at<std::uint8_t>(bytes, 1066), p % 2 == 0);
-        EXPECT_EQ(number_at<std::uint8_t>(bytes, 1073), 0x39) << "last and strongest return";
-        EXPECT_EQ(number_at<std::uint16_t>(bytes, 1074), 600) << "turns per minute";
-        EXPECT_EQ(bytes.substr(1076, 5), std::string({123, 11, 14, 22, 13}));
-        EXPECT_EQ(number_at<std::uint32_t>(bytes, 1087), p);
         // The last block starts 9 us after the packet's time.
         const double time_s =
             0.95 + (double(p) - 1.5) * sensor.period_s / sensor.columns - (9.0 + 0.6) * 1e-6;
-        const double seconds = number_at<std::uint8_t>(bytes, 1081) - 20.0;
-        EXPECT_NEAR(seconds + 1e-6 * number_at<std::uint32_t>(bytes, 1082), time_s, 1.1e-6) << p;
+        EXPECT_NEAR(sent_s - 20.0, time_s, 1.1e-6) << p;
         EXPECT_EQ(number_at<std::uint16_t>(bytes, 12), number_at<std::uint16_t>(bytes, 12 + 514));
         for (std::size_t laser = 1; laser <= 128; ++laser) {
             const bool is_silent = p % 2 == 0 ? laser <= 32 : laser > 32 && laser <= 64;
@@ -226,15 +234,10 @@ TEST(Packets, OfAnOt128HaveTheModeOfTheirColumns) {
         std::size_t n_lit[2] = {};
         for (std::size_t p = 1; p < std::size_t(columns / 2); ++p) {
             const std::string& bytes = packets[p].bytes;
-            ASSERT_EQ(bytes.size(), 861u);
-            EXPECT_EQ(bytes.substr(0, 12), std::string("\xEE\xFF\x01\x04\0\0\x80\x02\0\x04\x01\x07", 12));
+            expect_fields(bytes, kOt128, p);
             EXPECT_EQ(number_at<std::uint16_t>(bytes, 814), columns == 3600 ? 1 << 12 : 0)
                 << "firing sequences";
             EXPECT_EQ(number_at<std::uint8_t>(bytes, 816), columns == 3600 ? 0 : 1) << "operation mode";
-            EXPECT_EQ(number_at<std::uint8_t>(bytes, 817), 0x37) << "the strongest return";
-            EXPECT_EQ(number_at<std::uint16_t>(bytes, 818), 600) << "turns per minute";
-            EXPECT_EQ(bytes.substr(820, 5), std::string({123, 11, 14, 22, 13}));
-            EXPECT_EQ(number_at<std::uint32_t>(bytes, 831), p);
             const double turned_deg =
                 0.01 * (number_at<std::uint16_t>(bytes, 12 + 386) - number_at<std::uint16_t>(bytes, 12));
             EXPECT_NEAR(std::remainder(turned_deg, 360.0), 360.0 / columns, 0.0101);
@@ -319,10 +322,9 @@ TEST_P(WrittenPackets, GiveTheSameReturnsAgain) {
             ASSERT_NEAR(std::remainder(time_s - 1.0 - fired_s, sensor.period_s), 0.0, 1e-6);
             ASSERT_NEAR(frame.scan.range_m[i], scan.range_m[ray], 0.5001 * quantum_m);
             ASSERT_NEAR(frame.scan.intensity[i], scan.intensity[ray], 1e-6);
-            if (returns == 2) {
-                ASSERT_NEAR(frame.scan.second_returns[0].range_m[i], scan.second_returns[0].range_m[ray],
+            for (std::size_t k = 0; k < scan.second_returns.size(); ++k)
+                ASSERT_NEAR(frame.scan.second_returns[k].range_m[i], scan.second_returns[k].range_m[ray],
                             0.5001 * quantum_m);
-            }
             matched_keys.insert(at->first);
         }
     }
@@ -394,10 +396,9 @@ TEST_P(AlternatingPackets, GiveTheRaysOfTheirLasers) {
             const std::size_t ray = at->second;
             ASSERT_NEAR(frame.scan.range_m[i], scan.range_m[ray], 0.002001) << laser << " at " << time_s;
             ASSERT_NEAR(frame.scan.intensity[i], scan.intensity[ray], 1e-6);
-            if (product.returns == 2) {
-                ASSERT_NEAR(frame.scan.second_returns[0].range_m[i], scan.second_returns[0].range_m[ray],
+            for (std::size_t k = 0; k < scan.second_returns.size(); ++k)
+                ASSERT_NEAR(frame.scan.second_returns[k].range_m[i], scan.second_returns[k].range_m[ray],
                             0.002001);
-            }
             const double apart_deg =
                 glm::length(glm::dvec3(frame.scan.rays.direction[i] - scan.rays.direction[ray])) * 180.0 /
                 kPi;
@@ -450,8 +451,7 @@ TEST(Packets, FollowEachOtherEvenlyThroughAGap) {
     PacketEncoder encoder(sensor, {.start_ns = kStart_ns});
     const Scan scan = make_known_scan(sensor);
     std::vector<SensorPacket> packets = encoder.encode_scan_as_packets(scan, 1.0);
-    for (SensorPacket& packet : encoder.encode_scan_as_packets(scan, 1.1035))
-        packets.push_back(std::move(packet));
+    std::ranges::copy(encoder.encode_scan_as_packets(scan, 1.1035), std::back_inserter(packets));
     for (std::size_t p = 1; p < packets.size(); ++p) {
         EXPECT_NEAR(1e-3 * double(packets[p].time_ns - packets[p - 1].time_ns), 12 * 46.08, 24.0) << p;
         const double before = 0.01 * number_at<std::uint16_t>(packets[p - 1].bytes, 2),

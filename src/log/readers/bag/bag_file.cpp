@@ -7,14 +7,10 @@
 #include <optional>
 #include <utility>
 
-#include <fmt/format.h>
-
-#include <relidar/base/error.hpp>
-
 #include "base/codecs/unpack.hpp"
 #include "base/fail.hpp"
 #include "base/files.hpp"
-#include "log/readers/bag/unpacked_file.hpp"
+#include "log/readers/bag/part_file.hpp"
 
 namespace relidar::bag {
 namespace {
@@ -30,24 +26,21 @@ bool is_pcap_file(const fs::path& file) {
     return ending == ".pcap" || ending == ".pcapng";
 }
 
-/// Returns the files that rosbag2's metadata.yaml lists. The parser reads line by line
-/// and accepts only the layout that rosbag2 writes.
+/// Returns the files that rosbag2's metadata.yaml lists, in the layout that rosbag2
+/// writes.
 std::vector<std::string> read_files_of_metadata(const fs::path& file) {
     std::vector<std::string> files;
     bool in_files = false;
     for (const std::string& line : split_lines(read_text_file(file))) {
         const std::string_view text = trim_blanks_at_both_ends(line);
-        const auto value_of = [&](std::string_view key) {
-            std::string_view value = trim_blanks_at_both_ends(text.substr(key.size()));
-            // Removes quotes.
+        if (text.starts_with("relative_file_paths:")) in_files = true;
+        else if (in_files && text.starts_with("- ")) {
+            std::string_view value = trim_blanks_at_both_ends(text.substr(2));
             if (value.size() >= 2 && (value.front() == '"' || value.front() == '\'') &&
                 value.back() == value.front())
                 value = value.substr(1, value.size() - 2);
-            return std::string(value);
-        };
-        if (text.starts_with("relative_file_paths:")) in_files = true;
-        else if (in_files && text.starts_with("- ")) files.push_back(value_of("- "));
-        else in_files = false;
+            files.emplace_back(value);
+        } else in_files = false;
     }
     return files;
 }
@@ -60,12 +53,11 @@ fs::path find_file_or_packed_copy(const fs::path& file) {
     return file;
 }
 
-/// Unpacks a message that rosbag2 compressed with zstd. A serialized message cannot begin
-/// like zstd data. Returns nothing if the message is not compressed.
+/// Unpacks a message that rosbag2 compressed with zstd. Returns nothing if it is not
+/// compressed; a serialized message cannot begin like zstd data.
 std::optional<std::string> unpack_message(const BagTopic& topic, std::string_view bytes) {
     if (topic.encoding != "cdr" || !bytes.starts_with(kZstdMagic)) return std::nullopt;
-    // maximum size of an unpacked message in bytes; messages that unpack to at most
-    // kMostGrowth times their size may be larger
+    // maximum size of an unpacked message in bytes, or in sizes of the packed message
     constexpr std::size_t kMostMessageBytes = std::size_t(64) << 20, kMostGrowth = 100;
     std::string unpacked;
     const bool is_complete = stream_zstd(
@@ -73,7 +65,7 @@ std::optional<std::string> unpack_message(const BagTopic& topic, std::string_vie
         [&, most = std::max(kMostMessageBytes, kMostGrowth * bytes.size())](std::string_view block) {
             if (unpacked.append(block).size() > most) fail("found more than {} unpacked bytes", most);
         });
-    if (!is_complete) throw DataError("the zstd data of the message are truncated");
+    if (!is_complete) fail("the zstd data of the message are truncated");
     return unpacked;
 }
 

@@ -14,6 +14,9 @@
 #include <string_view>
 #include <vector>
 
+#include <fmt/format.h>
+
+#include <relidar/base/error.hpp>
 #include <relidar/base/progress.hpp>
 
 #include "base/shared_bytes.hpp"
@@ -75,7 +78,7 @@ public:
         std::function<void(const std::string&)> note;  ///< receives problems of the file
         std::function<void(double)> done;  ///< receives the fraction of the file that has been read
     };
-    /// Reads all messages in file order. Passes each message to `message_callback`.
+    /// Reads all messages in file order.
     /// @throws DataError with the problem and its byte offset
     virtual void for_each_message(TopicTable& topics, const MessageReadCallbacks& callbacks) = 0;
     /// Reads the bytes of one message. Thread-safe.
@@ -83,15 +86,27 @@ public:
     /// If relidar wrote the bag, returns the name of the coordinate frame of its points.
     /// Otherwise returns an empty string. Call for_each_message() first.
     virtual std::string get_points_frame_name() const { return ""; }
+
+protected:
+    /// Processes the record at a byte. If it is damaged, throws, or skips it with a note.
+    template <class Process>
+    static void process_or_skip(const std::string& file, std::uint64_t at, bool skips,
+                                const MessageReadCallbacks& callbacks, const Process& process) {
+        try {
+            process();
+        } catch (const DataError& error) {
+            const std::string text =
+                fmt::format("{}: the record at byte {} cannot be read: {}", file, at, error.what());
+            if (!skips) throw DataError(text + "; use dataset.skip_broken=true to skip it");
+            callbacks.note("skipped: " + text);
+        }
+    }
 };
 
-/// Opens an MCAP file.
-/// @param skip_damaged_chunks  if true, damaged chunks are skipped with a note; if false,
-/// they cause an error
+/// @param skip_damaged_chunks  skip damaged chunks with a note, instead of an error
 std::unique_ptr<BagFile> open_mcap_file(const std::filesystem::path& file, bool skip_damaged_chunks);
 std::unique_ptr<BagFile> open_pcap_file(const std::filesystem::path& file);
 std::unique_ptr<BagFile> open_ros1_bag(const std::filesystem::path& file, bool skip_damaged_chunks);
-/// Opens a rosbag2 file in SQLite format.
 std::unique_ptr<BagFile> open_rosbag2_sqlite(const std::filesystem::path& file);
 
 /// A recording that consists of one or several files.
@@ -102,18 +117,15 @@ public:
     /// @throws DataError that names the file
     BagRecording(const std::filesystem::path& path, bool skip_broken);
 
-    /// Returns the topics of all messages that were read so far.
+    /// topics of all messages that were read so far
     const std::vector<BagTopic>& topics() const { return topics_.topics(); }
-    const std::vector<std::string>& get_file_problems() const { return notes_; }  ///< problems of the files
+    const std::vector<std::string>& get_file_problems() const { return notes_; }
     const std::vector<std::filesystem::path>& get_file_paths() const { return paths_; }
-    /// If relidar wrote the bag, returns the name of the coordinate frame of its points.
-    /// Otherwise returns an empty string. Call for_each_message() first.
-    std::string get_points_frame_name() const;
+    std::string get_points_frame_name() const;  ///< see BagFile
 
-    /// Reads the messages of all files in order and passes each one to `callback`.
     void for_each_message(const TopicFilter& filter, const MessageCallback& callback,
                           const ProgressReporter& progress = {});
-    /// Reads the bytes of one message of a topic. Thread-safe.
+    /// Thread-safe.
     SharedBytes read_message_bytes(const BagTopic& topic, const MessagePosition& message_position) const;
 
 private:

@@ -1,9 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Replaces the bag reader if its libraries are missing or RELIDAR_BAGS is off. Loading a
 // recording then throws an error.
-#include <fmt/format.h>
-
-#include <relidar/base/error.hpp>
 
 #include "base/fail.hpp"
 #include "log/readers/bag/load_ros_bag.hpp"

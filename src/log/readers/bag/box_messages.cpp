@@ -6,12 +6,7 @@
 #include <cmath>
 #include <iterator>
 
-#include <fmt/format.h>
-
-#include <relidar/base/error.hpp>
-
 #include "base/fail.hpp"
-#include "log/readers/bag/message_reader.hpp"
 #include "log/readers/bag/messages.hpp"
 
 namespace relidar::bag {
@@ -31,27 +26,6 @@ glm::dvec3 read_vector3(MessageReader& reader) {
     return v;
 }
 
-/// A box with the values of the message, which have not been checked.
-struct UncheckedBox {
-    MessageHeader header;
-    std::string id, category;
-    PoseComponents pose{};
-    glm::dvec3 size_m{0.0};
-};
-
-void add_box_or_count_as_invalid(BoxListMessage& box_list, const UncheckedBox& unchecked_box) {
-    const glm::dvec3& s = unchecked_box.size_m;
-    const bool has_size = std::isfinite(s.x + s.y + s.z) && std::min({s.x, s.y, s.z}) > 0.0;
-    try {
-        if (has_size)
-            box_list.boxes.push_back({unchecked_box.header, unchecked_box.id, unchecked_box.category, s,
-                                      make_pose(unchecked_box.pose)});
-        else ++box_list.n_left_out;
-    } catch (const DataError&) {
-        ++box_list.n_left_out;
-    }
-}
-
 /// Optional fields of Detection3D messages in one version of vision_msgs. They follow the
 /// fields header, results and box, which every version has.
 struct DetectionMessageLayout {
@@ -68,8 +42,7 @@ constexpr DetectionMessageLayout kDetectionLayouts[] = {
     {false, true, true, true},    // newer version for ROS 1
 };
 
-/// Reads the classification results of a detection. Returns the class with the highest
-/// score.
+/// Returns the class with the highest score.
 std::string read_results_and_get_best_class(MessageReader& reader, const DetectionMessageLayout& layout) {
     constexpr std::size_t kLeastResult = 8 * (1 + 7 + kCovariance);
     std::string best;
@@ -94,11 +67,9 @@ BoxListMessage read_detections_with_layout(MessageReader reader, const Detection
     BoxListMessage list{read_header(reader), {}, 0};
     const std::size_t n = reader.read_list_length(kLeastDetection);
     for (std::size_t i = 0; i < n; ++i) {
-        UncheckedBox box{read_header(reader),
-                         {},
-                         read_results_and_get_best_class(reader, layout),
-                         read_position_and_quaternion(reader),
-                         read_vector3(reader)};
+        BoxMessage box{read_header(reader), {}, read_results_and_get_best_class(reader, layout), {}, {}};
+        const PoseComponents pose = read_position_and_quaternion(reader);
+        box.size_m = read_vector3(reader);
         // Also skips is_dense, the last field of source_cloud, because read_point_cloud()
         // does not read it.
         if (layout.has_cloud) {
@@ -109,7 +80,7 @@ BoxListMessage read_detections_with_layout(MessageReader reader, const Detection
         if (layout.has_identity) box.id = reader.read_string();
         if (box.header.frame.empty()) box.header = list.header;
         if (box.header.stamp_ns == 0) box.header.stamp_ns = list.header.stamp_ns;
-        add_box_or_count_as_invalid(list, box);
+        list.add_if_valid(std::move(box), pose);
     }
     if (reader.count_remaining_bytes() > (reader.is_ros1() ? 0 : kPadding))
         fail("found {} bytes after the last of {} boxes, expected no bytes after the boxes",
@@ -126,10 +97,8 @@ BoxListMessage read_detections_of_any_version(const MessageReader& reader) {
             if (why.empty()) why = error.what();
         }
     }
-    fail(
-        "the message does not match any known version of vision_msgs/Detection3DArray; the error with the "
-        "newest version is: {}",
-        why);
+    fail("the message matches no version of vision_msgs/Detection3DArray; the error with the newest is: {}",
+         why);
 }
 
 /// Names of Autoware's ObjectClassification labels, indexed by label number.
@@ -151,8 +120,7 @@ std::string read_most_probable_label(MessageReader& reader) {
     return best < std::size(kLabels) ? kLabels[best] : fmt::format("class {}", best);
 }
 
-/// Reads a UUID. Returns it as hexadecimal text with dashes, or an empty string if all
-/// bytes are 0.
+/// Returns a UUID as text, or an empty string if all bytes are 0.
 std::string read_uuid(MessageReader& reader) {
     constexpr std::size_t kBytes = 16;
     const std::string_view bytes = reader.read_bytes(kBytes);
@@ -164,9 +132,9 @@ std::string read_uuid(MessageReader& reader) {
     return std::ranges::all_of(bytes, [](char character) { return character == '\0'; }) ? "" : text;
 }
 
-/// Reads the shape of an object and sets the size of its box. For a polygon, uses the box
-/// around its footprint, because a polygon has no length and width.
-void read_shape_and_set_box_size(MessageReader& reader, UncheckedBox& box) {
+/// Reads the shape of an object. For a polygon, which has no length and width, uses the
+/// box around its footprint.
+void read_shape_and_set_box_size(MessageReader& reader, BoxMessage& box, PoseComponents& pose) {
     constexpr std::uint8_t kPolygon = 2;
     const auto type = reader.read_number<std::uint8_t>();
     glm::dvec2 least(INFINITY), most(-INFINITY);
@@ -180,13 +148,12 @@ void read_shape_and_set_box_size(MessageReader& reader, UncheckedBox& box) {
     box.size_m = read_vector3(reader);
     if (type != kPolygon || n == 0) return;
     const glm::dvec2 middle = 0.5 * (least + most);
-    const glm::dquat q(box.pose[6], box.pose[3], box.pose[4], box.pose[5]);
+    const glm::dquat q(pose[6], pose[3], pose[4], pose[5]);
     const glm::dvec3 shift = q * glm::dvec3(middle, 0.0);
-    for (int a = 0; a < 3; ++a) box.pose[std::size_t(a)] += shift[a];
+    for (int a = 0; a < 3; ++a) pose[std::size_t(a)] += shift[a];
     box.size_m = {most - least, box.size_m.z};
 }
 
-/// Reads a list of tracked objects.
 /// @param is_autoware_auto  true for autoware_auto_perception_msgs, whose objects have
 /// the additional flag "heading is available"
 BoxListMessage read_tracked_objects(MessageReader& reader, bool is_autoware_auto) {
@@ -194,22 +161,34 @@ BoxListMessage read_tracked_objects(MessageReader& reader, bool is_autoware_auto
     BoxListMessage list{read_header(reader), {}, 0};
     const std::size_t n = reader.read_list_length(kLeastObject);
     for (std::size_t i = 0; i < n; ++i) {
-        UncheckedBox box{list.header, read_uuid(reader), {}, {}, {}};
+        BoxMessage box{list.header, read_uuid(reader), {}, {}, {}};
         reader.read_number<float>();  // skips the existence probability
         box.category = read_most_probable_label(reader);
-        box.pose = read_position_and_quaternion(reader);
+        PoseComponents pose = read_position_and_quaternion(reader);
         skip_doubles(reader, kCovariance);
         if (is_autoware_auto) reader.read_number<std::uint8_t>();
         skip_doubles(reader, 2 * kTwist);  // skips twist and acceleration
         if (!is_autoware_auto) reader.read_number<std::uint8_t>();
         reader.read_number<std::uint8_t>();  // skips the flag is_stationary
-        read_shape_and_set_box_size(reader, box);
-        add_box_or_count_as_invalid(list, box);
+        read_shape_and_set_box_size(reader, box, pose);
+        list.add_if_valid(std::move(box), pose);
     }
     return list;
 }
 
 }  // namespace
+
+void BoxListMessage::add_if_valid(BoxMessage box, const PoseComponents& pose) {
+    const glm::dvec3& s = box.size_m;
+    try {
+        box.frame_from_box = make_pose(pose);
+        if (std::isfinite(s.x + s.y + s.z) && std::min({s.x, s.y, s.z}) > 0.0)
+            boxes.push_back(std::move(box));
+        else ++n_left_out;
+    } catch (const DataError&) {
+        ++n_left_out;
+    }
+}
 
 BoxListMessage read_boxes_of_message(const BagTopic& topic, std::string_view message_bytes) {
     if (topic.encoding == "protobuf") return read_foxglove_boxes(message_bytes);

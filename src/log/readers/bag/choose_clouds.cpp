@@ -4,10 +4,7 @@
 #include <cmath>
 #include <map>
 
-#include <fmt/format.h>
 #include <fmt/ranges.h>
-
-#include <relidar/base/error.hpp>
 
 #include "base/fail.hpp"
 #include "base/files.hpp"
@@ -17,12 +14,10 @@
 namespace relidar::bag {
 namespace {
 
-// A further LiDAR is loaded only if its sweep rate, divided by the rate of the main
-// LiDAR, is in this interval.
+// Sweep rate of a further LiDAR, divided by the rate of the main LiDAR.
 constexpr double kLeastRate = 0.5, kMostRate = 2.0;
-// Maximum numbers of topics and of reasons in an error message.
+// Limits of the lists of topics and of reasons in an error message.
 constexpr std::size_t kMostTopics = 10, kMostReasons = 3;
-// Maximum number of characters of these lists, if they have several entries.
 constexpr std::size_t kMostTopicCharacters = 400, kMostReasonCharacters = 600;
 
 /// Limits the length of a list of texts. The last text then says how many are missing.
@@ -47,8 +42,7 @@ std::string format_topics(const BagRecording& bag) {
     return texts.empty() ? "none" : fmt::format("{}", fmt::join(texts, ", "));
 }
 
-/// A ROS package whose packets relidar cannot decode, and the driver that converts the
-/// packets to point clouds.
+/// A ROS package whose packets relidar cannot decode, and the driver that converts them.
 struct PacketDriver {
     const char* package;
     const char* driver;
@@ -60,9 +54,8 @@ constexpr PacketDriver kDrivers[] = {
     {"seyond/", "seyond_ros_driver"},
 };
 
-/// Returns the end of the error message for a bag without clouds. The text explains why
-/// topics that may contain clouds could not be read.
-/// @param requested_topic name of the topic to explain; empty: all topics
+/// Returns the end of the error message for a bag without clouds.
+/// @param requested_topic  topic to explain; empty: all topics
 std::string explain_why_no_clouds_were_found(const BagRecording& bag, const BagIndex& bag_index,
                                              const std::string& requested_topic = "") {
     std::vector<std::string> reasons = bag.get_file_problems();
@@ -105,9 +98,8 @@ std::string explain_why_no_clouds_were_found(const BagRecording& bag, const BagI
     return text;
 }
 
-/// Returns a score that is higher if a topic has raw measurements. Packets have the
-/// highest score, then clouds with times, rings and return numbers, then clouds with many
-/// points.
+/// Packets have the highest score, then clouds with times, rings and return numbers, then
+/// clouds with many points.
 double score_topic_by_raw_measurements(const CloudTopic& cloud_topic) {
     if (!cloud_topic.packets.empty()) return 200.0;
     const bool timed = cloud_topic.has_field_with_attribute(folder::PointAttribute::time);
@@ -132,14 +124,15 @@ bool are_clouds_in_single_sensor_frame(const CloudTopic& cloud_topic) {
     return !is_cloud_frame_one_of(cloud_topic, kOfWorld) && !is_cloud_frame_one_of(cloud_topic, kOfVehicle);
 }
 
-/// Throws if the clouds of a topic are in a world-fixed frame. Adds a note for the user
-/// if the clouds are in the vehicle frame.
+/// Throws if clouds are in a world-fixed frame. Adds a note if they are in the vehicle
+/// frame.
 void reject_world_frame_or_note_vehicle_frame(const std::string& topic_name, const CloudTopic& clouds,
                                               SelectedCloudTopics& selected_topics) {
     if (is_cloud_frame_one_of(clouds, kOfWorld))
         fail(
-            "{}: the clouds are in the world-fixed frame '{}', so the positions of the LiDAR are unknown; "
-            "expected clouds in the frame of the LiDAR (select another topic with dataset.lidars)",
+            "{}: the clouds are in the world-fixed frame '{}', expected the frame of the LiDAR (select "
+            "another "
+            "topic with dataset.lidars)",
             topic_name, clouds.frame);
     if (is_cloud_frame_one_of(clouds, kOfVehicle))
         selected_topics.notes.push_back(fmt::format(
@@ -148,8 +141,7 @@ void reject_world_frame_or_note_vehicle_frame(const std::string& topic_name, con
             topic_name, clouds.frame));
 }
 
-/// Returns the number of sweeps per second. The message rate is higher if a sweep
-/// consists of several messages.
+/// The message rate is higher if a sweep consists of several messages.
 double estimate_sweep_rate_hz(const BagIndex& bag_index, const CloudTopic& cloud_topic) {
     const TopicStatistics& facts = bag_index.facts[cloud_topic.topic];
     return facts.compute_message_rate_hz() * double(cloud_topic.clouds.size()) /
@@ -177,9 +169,8 @@ std::vector<std::size_t> find_cloud_topic_indices(const BagRecording& bag, const
     return lidars;
 }
 
-/// Returns the frame_id that identifies the LiDAR of a topic. Usually this is the
-/// frame_id of the clouds. If a driver computed the clouds from packets in the same bag,
-/// it is the frame_id of the packets.
+/// Returns the frame_id that identifies the LiDAR of a topic: that of the packets, if a
+/// driver computed the clouds from packets in the same bag.
 const std::string& get_lidar_frame_id(const BagIndex& bag_index, const CloudTopic& cloud_topic) {
     for (const CloudTopic& other : bag_index.clouds)
         if (!other.revolutions.empty() &&
@@ -188,9 +179,8 @@ const std::string& get_lidar_frame_id(const BagIndex& bag_index, const CloudTopi
     return cloud_topic.frame;
 }
 
-/// If several topics have the same frame, selects the topic with the least processed
-/// data, because the others are usually copies. For example, packets are better than
-/// clouds. Adds a note about the other topics.
+/// If several topics have the same frame, selects the one with the least processed data,
+/// because the others are usually copies.
 std::vector<std::size_t> select_topics_with_raw_data(const BagRecording& bag, const BagIndex& bag_index,
                                                      std::vector<std::string>& notes) {
     const auto has_clouds = [](const CloudTopic& c) { return !c.clouds.empty(); };
@@ -273,10 +263,7 @@ SelectedCloudTopics choose_cloud_topics(const BagRecording& bag, const BagIndex&
             choice.notes.push_back(fmt::format(
                 "topic {} is ignored: {}; use dataset.lidars={} to read only this topic", name, why, name));
         } else {
-            fail(
-                "topic {} cannot be read together with the other selected topics: {}; select other topics "
-                "with dataset.lidars",
-                name, why);
+            fail("topic {} cannot be read together with the other topics of dataset.lidars: {}", name, why);
         }
     }
     choice.main =

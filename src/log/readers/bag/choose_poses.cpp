@@ -1,10 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include <algorithm>
 
-#include <fmt/format.h>
 #include <fmt/ranges.h>
-
-#include <relidar/base/error.hpp>
 
 #include "base/fail.hpp"
 #include "base/files.hpp"
@@ -22,9 +19,8 @@ struct PoseSourceCandidate {
     std::string about;
 };
 
-/// Follows the parent frames from the sensor to `ancestor_frame`. Returns the first frame
-/// that moves relative to its parent, which is the vehicle. If no frame moves, returns
-/// the sensor's frame.
+/// Returns the first frame from the sensor to `ancestor_frame` that moves relative to its
+/// parent, or the sensor's frame.
 std::string find_vehicle_frame_below_ancestor(const FrameTree& frame_tree,
                                               const std::vector<std::string>& frame_path_to_root,
                                               const std::string& ancestor_frame) {
@@ -135,15 +131,15 @@ std::size_t count_clouds_with_pose(const CloudTopic& clouds, const TransformChai
     }));
 }
 
-/// Returns the moving poses of a source, or null if the source does not move.
+/// Returns null if the source does not move.
 const std::vector<StampedPose>* find_pose_samples(const BagIndex& bag_index,
                                                   const PoseSourceCandidate& source) {
     return source.topic ? &source.topic->samples
                         : bag_index.frames.find_fastest_samples(source.outer, source.vehicle);
 }
 
-/// Sets the poses as a function of time. Corrects a clock offset between clouds and poses
-/// if it is certain, and if more clouds then have a pose.
+/// Corrects a clock offset between clouds and poses if it is certain, and if more clouds
+/// then have a pose.
 void set_poses_and_correct_clock(SelectedPoseSource& choice, const BagIndex& bag_index,
                                  const CloudTopic& clouds, const PoseSourceCandidate& source) {
     choice.poses_zero_ns = choice.zero_ns;
@@ -168,8 +164,7 @@ void set_poses_and_correct_clock(SelectedPoseSource& choice, const BagIndex& bag
         choice.poses_zero_ns = zero_ns;
     } else {
         choice.clock_note =
-            text +
-            "; either the clocks differ or messages are late; nothing is corrected, so check the poses";
+            text + "; the clocks differ or messages are late; nothing is corrected, so check the poses";
     }
 }
 

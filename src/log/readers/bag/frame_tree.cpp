@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "log/readers/bag/frame_tree.hpp"
+#include "log/readers/bag/survey.hpp"
 
 #include <algorithm>
 #include <cmath>

@@ -5,12 +5,8 @@
 #include "log/readers/bag/load_ros_bag.hpp"
 
 #include <algorithm>
-#include <cmath>
 #include <optional>
 
-#include <fmt/format.h>
-
-#include <relidar/base/error.hpp>
 #include <relidar/log/log_time.hpp>
 
 #include "base/fail.hpp"
@@ -18,10 +14,8 @@
 #include "log/clouds/log_files.hpp"
 #include "log/clouds/match_sweeps.hpp"
 #include "log/clouds/sweep_poses.hpp"
-#include "log/readers/bag/bag_boxes.hpp"
 #include "log/readers/bag/bag_scans.hpp"
 #include "log/readers/bag/choose.hpp"
-#include "log/readers/bag/recording_notes.hpp"
 
 namespace relidar {
 namespace {
@@ -44,9 +38,8 @@ public:
           poses_(choose_vehicle_pose_source(bag_, survey_, survey_.clouds[clouds_.lidars[clouds_.main]],
                                             options.bag.poses_from)),
           boxes_(choose_box_topic(bag_, survey_)) {
-        sequence_.name = path.lexically_normal().filename().empty()
-                             ? path.lexically_normal().parent_path().filename().string()
-                             : path.lexically_normal().filename().string();
+        const std::filesystem::path clean = path.lexically_normal();
+        sequence_.name = (clean.has_filename() ? clean : clean.parent_path()).filename().string();
         sequence_.source = path.string();
     }
 
@@ -114,6 +107,10 @@ private:
     void add_note_if_not_empty(const std::string& text) {
         if (!text.empty()) sequence_.notes.push_back(text);
     }
+    template <class AnyTopic>
+    void add_topic_note(const AnyTopic& topic_entry, const std::string& text) {
+        if (!text.empty()) sequence_.notes.push_back(get_topic_name(topic_entry) + ": " + text);
+    }
 
     void add_notes_on_topics_and_selected_data() {
         std::vector<bool> used(bag_.topics().size(), false);
@@ -139,18 +136,17 @@ private:
         for (std::size_t l = 0; l < clouds_.lidars.size(); ++l) {
             CloudTopic& other = survey_.clouds[clouds_.lidars[l]];
             if (l == clouds_.main) continue;
-            const std::string text = correct_clock_jumps(other.clouds, poses_.clock,
-                                                         list_message_times(get_main_cloud_topic().clouds));
-            if (!text.empty()) add_note_if_not_empty(get_topic_name(other) + ": " + text);
+            add_topic_note(other, correct_clock_jumps(other.clouds, poses_.clock,
+                                                      list_message_times(get_main_cloud_topic().clouds)));
         }
         for (std::size_t l = 0; l < clouds_.lidars.size(); ++l)
             for (const std::string& text : {describe_clouds_with_differing_frame_id(get_cloud_topic(l)),
                                             describe_time_jumps(get_cloud_topic(l))})
-                if (!text.empty()) add_note_if_not_empty(get_topic_name(get_cloud_topic(l)) + ": " + text);
+                add_topic_note(get_cloud_topic(l), text);
     }
 
-    /// Lists the frames of the log. Each cloud of the main LiDAR starts a frame. Clouds
-    /// of other LiDARs belong to the frame with the nearest time.
+    /// Each cloud of the main LiDAR starts a frame. Clouds of other LiDARs belong to the
+    /// frame with the nearest time.
     void group_clouds_into_frames() {
         std::vector<FrameCloudMessage> sweeps;
         std::size_t n_late = 0;
@@ -190,11 +186,12 @@ private:
             offset = estimate_clock_offset(list_message_times(clouds),
                                            list_message_times(get_main_cloud_topic().clouds));
         if (offset.offset_ns != 0)
-            add_note_if_not_empty(fmt::format(
-                "{}: compared with the recording times, the time stamps are {}{}",
-                get_topic_name(get_cloud_topic(lidar_index)),
-                offset.describe("the time stamps of " + get_topic_name(get_main_cloud_topic())),
-                offset.is_clear ? ", so their clocks differ; this time is subtracted"
+            add_topic_note(
+                get_cloud_topic(lidar_index),
+                fmt::format("compared with the recording times, the time stamps are {}{}",
+                            offset.describe("the time stamps of " + get_topic_name(get_main_cloud_topic())),
+                            offset.is_clear
+                                ? ", so their clocks differ; this time is subtracted"
                                 : "; either the clocks differ or messages are late; nothing is corrected"));
         for (const CloudIndexEntry& entry : clouds)
             other_s.push_back(compute_cloud_time_s(entry) - 1e-9 * double(offset.correction_ns()));
@@ -207,10 +204,9 @@ private:
             --n_left;
         }
         if (n_left > 0)
-            add_note_if_not_empty(
-                fmt::format("{}: {} clouds are skipped, because {} has no cloud near their times",
-                            get_topic_name(get_cloud_topic(lidar_index)), n_left,
-                            get_topic_name(get_main_cloud_topic())));
+            add_topic_note(get_cloud_topic(lidar_index),
+                           fmt::format("{} clouds are skipped, because {} has no cloud near their times",
+                                       n_left, get_topic_name(get_main_cloud_topic())));
     }
 
     void select_requested_clouds_with_pose(const std::vector<FrameCloudMessage>& all_clouds) {
@@ -224,9 +220,8 @@ private:
         }
         if (frames_.empty() && n_unplaced > 0)
             fail(
-                "{}: {}; none of the {} clouds has a pose at its time; use dataset.poses_from or "
-                "dataset.poses=FILE to select other poses, or dataset.poses=none to estimate the poses from "
-                "the scans",
+                "{}: {}; none of the {} clouds has a pose at its time; select other poses with "
+                "dataset.poses_from or dataset.poses=FILE, or estimate them with dataset.poses=none",
                 sequence_.source, poses_.about, n_unplaced);
         if (frames_.empty())
             fail<UsageError>("frames {}:{} select no cloud of {}; frames are numbered from 0",
@@ -245,21 +240,19 @@ private:
                 clouds.clouds.empty() ? 1 : std::max<std::size_t>(clouds.clouds[0].parts.size(), 1);
             lidars_.push_back(estimate_units_of_cloud_topic(bag_, clouds, sweep_period_s / double(n_parts)));
             if (!clouds.packets.empty()) lidars_.back().sensor = clouds.packets.make_spinning_sensor_model();
-            if (!clouds.parts_about.empty())
-                add_note_if_not_empty(get_topic_name(clouds) + ": " + clouds.parts_about);
-            if (!lidars_.back().units.about.empty())
-                add_note_if_not_empty(get_topic_name(get_cloud_topic(l)) + ": " + lidars_.back().units.about);
-            for (const std::string& text : lidars_.back().units.meaning.notes)
-                add_note_if_not_empty(get_topic_name(get_cloud_topic(l)) + ": " + text);
+            add_topic_note(clouds, clouds.parts_about);
+            add_topic_note(clouds, lidars_.back().units.about);
+            for (const std::string& text : lidars_.back().units.meaning.notes) add_topic_note(clouds, text);
             if (is_deskewed_ && has_poses_ && lidars_.back().units.zero != PointTimeReference::none)
-                add_note_if_not_empty(get_topic_name(clouds) +
-                                      ": relidar deskewed the points to the stamp of the cloud. They are "
-                                      "converted back to the sensor's frame at the time of each point");
+                add_topic_note(
+                    clouds,
+                    "relidar deskewed the points to the stamp of the cloud. They are converted back "
+                    "to the sensor's frame at the time of each point");
         }
     }
 
-    /// Adds the LiDARs to the log. If there is one LiDAR, its frame is the vehicle frame.
-    /// Several LiDARs have poses on the vehicle.
+    /// The frame of a single LiDAR is the vehicle frame. Several LiDARs have poses on the
+    /// vehicle.
     void add_lidars_to_sequence() {
         const bool is_one = clouds_.lidars.size() == 1;
         sequence_.lidars.clear();
@@ -344,8 +337,7 @@ private:
         return poses.empty() ? other : poses;
     }
 
-    /// Adds the boxes of the bag to the log. If the vehicle poses are from a file of the
-    /// user, the boxes move with the vehicle.
+    /// If the vehicle poses are from a file of the user, the boxes move with the vehicle.
     void add_boxes_to_sequence() {
         if (!boxes_.topic) return;
         BoxTransformContext transform_context{survey_.frames, poses_, {}, {}, poses_.zero_ns, has_poses_};
@@ -363,8 +355,7 @@ private:
         const LoadedBoxTracks tracks = read_box_tracks_from_bag(bag_, *boxes_.topic, transform_context,
                                                                 sequence_.world_from_vehicle.time_s);
         sequence_.boxes = tracks.tracks;
-        for (const std::string& text : tracks.notes)
-            add_note_if_not_empty(get_topic_name(*boxes_.topic) + ": " + text);
+        for (const std::string& text : tracks.notes) add_topic_note(*boxes_.topic, text);
     }
 
     void add_frames_to_sequence() {

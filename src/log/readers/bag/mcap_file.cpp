@@ -5,9 +5,7 @@
 #include <algorithm>
 #include <array>
 #include <map>
-#include <set>
 
-#include <fmt/format.h>
 #include <zlib.h>
 
 #include "base/codecs/byte_reader.hpp"
@@ -67,7 +65,7 @@ SharedBytes decompress_records_of_mcap_chunk(const SharedBytes& chunk_record_bod
                                        n);
     if (sum != 0 &&
         crc32_z(0, reinterpret_cast<const Bytef*>(records.bytes.data()), records.bytes.size()) != sum)
-        throw DataError("the checksum of the data is wrong, so the data is damaged");
+        fail("the checksum of the data is wrong, so the data is damaged");
     return records;
 }
 
@@ -92,14 +90,8 @@ public:
             if (code == kMcapDataEnd || code == kMcapFooter) return;
             if (length > file_.size() - at - kRecordHead) break;
             callbacks.done(double(at) / double(file_.size()));
-            try {
-                process_mcap_record_or_chunk(code, at, length, topics, callbacks);
-            } catch (const DataError& error) {
-                const std::string text = fmt::format("{}: the record at byte {} cannot be read: {}",
-                                                     file_.name(), at, error.what());
-                if (!skip_broken_) throw DataError(text + "; use dataset.skip_broken=true to skip it");
-                callbacks.note("skipped: " + text);
-            }
+            process_or_skip(file_.name(), at, skip_broken_, callbacks,
+                            [&] { process_mcap_record_or_chunk(code, at, length, topics, callbacks); });
             at += kRecordHead + length;
         }
         callbacks.note(fmt::format("{}: the file is truncated at byte {} of {}; later messages are missing",

@@ -2,17 +2,11 @@
 #include "log/readers/bag/messages.hpp"
 
 #include <algorithm>
-#include <array>
 #include <cmath>
 #include <iterator>
 
-#include <fmt/format.h>
-
-#include <relidar/base/error.hpp>
-
 #include "base/fail.hpp"
 #include "base/files.hpp"
-#include "log/readers/bag/message_reader.hpp"
 #include "log/readers/bag/packets/packet_messages.hpp"
 
 namespace relidar::bag {
@@ -49,8 +43,6 @@ MessageReader make_message_reader(const BagTopic& topic, std::string_view messag
     return {message_bytes, topic.encoding == "ros1"};
 }
 
-/// Reads a field of a point cloud. The type is a number as defined in
-/// sensor_msgs/PointField.
 CloudMessage::CloudField read_ros_point_field(MessageReader& reader) {
     struct Type {
         char kind;
@@ -64,10 +56,8 @@ CloudMessage::CloudField read_ros_point_field(MessageReader& reader) {
     const auto count = reader.read_number<std::uint32_t>();
     field.count = std::max<std::size_t>(count, 1);  // some drivers write 0
     if (type < 1 || type > std::size(kTypes))
-        fail(
-            "the field '{}' of the cloud has the data type {}, expected a number from 1 to {} as defined in "
-            "sensor_msgs/PointField",
-            shorten_for_error_message(field.name), type, std::size(kTypes));
+        fail("the field '{}' of the cloud has the data type {}, expected 1 to {} (sensor_msgs/PointField)",
+             shorten_for_error_message(field.name), type, std::size(kTypes));
     field.kind = kTypes[type - 1].kind;
     field.size = kTypes[type - 1].size;
     return field;
@@ -76,26 +66,20 @@ CloudMessage::CloudField read_ros_point_field(MessageReader& reader) {
 void require_valid_cloud_layout(const CloudMessage& cloud) {
     for (const CloudMessage::CloudField& field : cloud.fields)
         if (field.offset > cloud.point_step || field.size * field.count > cloud.point_step - field.offset)
-            fail(
-                "the field '{}' starts at byte {} and has {} bytes, expected a field inside the point of {} "
-                "bytes",
-                shorten_for_error_message(field.name), field.offset, field.size * field.count,
-                cloud.point_step);
+            fail("the field '{}' starts at byte {} and has {} bytes, expected a point of at most {} bytes",
+                 shorten_for_error_message(field.name), field.offset, field.size * field.count,
+                 cloud.point_step);
     if (cloud.size() == 0) return;
     if (cloud.point_step == 0 || cloud.point_step > kMostPointStep)
         fail("a point has {} bytes, expected 1 to {}", cloud.point_step, kMostPointStep);
     const std::size_t row = cloud.width * cloud.point_step;
     if (cloud.row_step < row && cloud.height > 1)
-        fail(
-            "each row of the cloud has {} bytes (row_step), expected at least {} bytes for {} points of {} "
-            "bytes each",
-            cloud.row_step, row, cloud.width, cloud.point_step);
+        fail("each row of the cloud has {} bytes (row_step), expected at least {} for {} points of {} bytes",
+             cloud.row_step, row, cloud.width, cloud.point_step);
     if (cloud.data.size() < row ||
         (cloud.height > 1 && (cloud.data.size() - row) / cloud.row_step < cloud.height - 1))
-        fail(
-            "the data of the cloud have only {} bytes, expected enough for {} rows of {} points with {} "
-            "bytes each",
-            cloud.data.size(), cloud.height, cloud.width, cloud.point_step);
+        fail("the data of the cloud have {} bytes, expected {} rows of {} points of {} bytes",
+             cloud.data.size(), cloud.height, cloud.width, cloud.point_step);
 }
 
 /// Reads a CustomMsg of the Livox drivers. A point has the fields offset_time (uint32,
@@ -133,8 +117,7 @@ MessageHeader read_header(MessageReader& reader) {
     if (reader.is_ros1()) reader.read_number<std::uint32_t>();  // skips the sequence number
     const std::int64_t stamp_ns = read_ros_time_ns(reader);
     std::string frame(reader.read_string());
-    // Removes the leading slash that ROS 1 frame names may have. Names can then be
-    // compared.
+    // frame names of ROS 1 may have a leading slash
     if (frame.starts_with('/')) frame.erase(0, 1);
     return {stamp_ns, std::move(frame)};
 }
@@ -152,8 +135,8 @@ Pose make_pose(const PoseComponents& position_and_quaternion) {
     if (!(std::abs(length - 1.0) <= kUnitLength) ||
         !std::isfinite(position_and_quaternion[0] + position_and_quaternion[1] + position_and_quaternion[2]))
         fail(
-            "found a pose at ({}, {}, {}) with a quaternion of length {}, expected finite coordinates in "
-            "metres and length 1",
+            "found a pose at ({}, {}, {}) with a quaternion of length {}, expected finite numbers and length "
+            "1",
             position_and_quaternion[0], position_and_quaternion[1], position_and_quaternion[2], length);
     return {glm::normalize(q),
             {position_and_quaternion[0], position_and_quaternion[1], position_and_quaternion[2]}};
@@ -180,8 +163,7 @@ MessagePurpose get_message_purpose_of_topic(const BagTopic& topic) {
     if (!is_protobuf && topic.encoding != "cdr" && topic.encoding != "ros1") return MessagePurpose::nothing;
     if (packets::can_contain_ouster_metadata(topic)) return MessagePurpose::metadata;
     if (is_protobuf != topic.type.starts_with("foxglove.")) return MessagePurpose::nothing;
-    const auto matching_type =
-        std::ranges::find_if(kTypeUses, [&](const MessageTypePurpose& t) { return topic.type == t.type; });
+    const auto matching_type = std::ranges::find(kTypeUses, topic.type, &MessageTypePurpose::type);
     return matching_type == std::end(kTypeUses) ? MessagePurpose::nothing : matching_type->use;
 }
 

@@ -1,12 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads parts of a file. Also unpacks compressed chunks and caches the latest ones.
+// Reads parts of a file, compressed chunks, and files that were compressed with gzip or
+// zstd.
 #pragma once
 
 #include <cstdint>
+#include <cstdio>
 #include <deque>
 #include <filesystem>
 #include <functional>
-#include <memory>
 #include <mutex>
 #include <string>
 #include <string_view>
@@ -19,7 +20,6 @@ namespace relidar::bag {
 /// A file that is open for reading. Several threads can read it at the same time.
 class RandomAccessFile {
 public:
-    /// Opens a file for reading.
     /// @throws DataError if the file cannot be opened
     explicit RandomAccessFile(const std::filesystem::path& path);
     ~RandomAccessFile();
@@ -28,7 +28,6 @@ public:
 
     std::uint64_t size() const { return size_; }
     const std::string& name() const { return name_; }
-    /// Reads `n_bytes` bytes at a byte offset of the file.
     /// @throws DataError if the file is too short
     SharedBytes read_bytes_at(std::uint64_t offset, std::uint64_t n_bytes) const;
 
@@ -58,5 +57,42 @@ private:
 /// @throws DataError if the chunk is damaged
 SharedBytes unpack_chunk(std::string_view compression, const SharedBytes& compressed_chunk,
                          std::uint64_t unpacked_size);
+
+/// Removes the extension ".gz", if the path has it.
+std::filesystem::path remove_gz_extension(const std::filesystem::path& file);
+
+/// A file that is open for reading. If it was compressed with gzip, this is the unpacked
+/// file. The caller must close it.
+struct DecompressedFile {
+    std::FILE* file = nullptr;
+    std::string problem;  ///< text about a truncated gzip file; empty if the file is complete
+};
+/// Opens a file. Unpacks a gzip file to a temporary file first, which the system deletes
+/// when it is closed.
+/// @throws DataError if the file cannot be read or unpacked
+DecompressedFile open_file_and_unpack_gzip(const std::filesystem::path& file);
+
+/// Removes the extension ".zstd" or ".zst", if the path has it.
+std::filesystem::path remove_zstd_extension(const std::filesystem::path& file);
+
+/// A temporary unpacked copy of a file that was compressed with zstd. The destructor
+/// deletes the copy. On Linux, programs that opened it before can still read it.
+class UnpackedZstdFile {
+public:
+    /// Unpacks a file. Makes no copy of a file that does not begin like zstd data.
+    /// @throws DataError if the file cannot be read or unpacked
+    explicit UnpackedZstdFile(const std::filesystem::path& file);
+    ~UnpackedZstdFile();
+    UnpackedZstdFile(const UnpackedZstdFile&) = delete;
+    UnpackedZstdFile& operator=(const UnpackedZstdFile&) = delete;
+
+    /// Returns the path of the copy, or of the file itself if it is not compressed.
+    const std::filesystem::path& path() const { return path_; }
+    bool is_truncated() const { return is_truncated_; }
+
+private:
+    std::filesystem::path path_, temporary_folder_;
+    bool is_truncated_ = false;
+};
 
 }  // namespace relidar::bag

@@ -15,27 +15,21 @@
 #include <tuple>
 #include <vector>
 
-#include <fmt/format.h>
-
-#include <relidar/base/error.hpp>
-
 #include "base/bytes.hpp"
 #include "base/fail.hpp"
 #include "base/files.hpp"
 #include "log/readers/bag/bag_file.hpp"
 #include "log/readers/bag/packets/decoder.hpp"
-#include "log/readers/bag/packets/livox.hpp"
 #include "log/readers/bag/packets/ouster.hpp"
 #include "log/readers/bag/packets/packet_messages.hpp"
-#include "log/readers/bag/unpacked_file.hpp"
+#include "log/readers/bag/part_file.hpp"
 
 namespace relidar::bag {
 namespace {
 
 constexpr std::size_t kRun = 64, kMostStreams = 256, kMostPending = 64, kMostDatagram = 65535;
 constexpr unsigned kIpv4 = 0x0800, kIpv6 = 0x86dd, kUdp = 17;
-// All fragments of a datagram must arrive within this time. A fragment that arrives later
-// belongs to another datagram, even if the identification number is the same.
+// A fragment that arrives later belongs to another datagram with the same identification.
 constexpr std::int64_t kTogether_ns = 1000000000;
 
 unsigned read_big_endian_uint16(std::string_view bytes, std::size_t offset) {
@@ -49,8 +43,7 @@ unsigned get_byte_or_zero(std::string_view bytes, std::size_t offset) {
 
 /// An unfragmented IP packet, or one fragment of an IP packet.
 struct IpPacket {
-    /// `from`: address of the sender as text. `key`: bytes that are equal in all
-    /// fragments of a datagram.
+    /// address of the sender; bytes that are equal in all fragments of a datagram
     std::string from, key;
     std::size_t offset = 0;  ///< byte offset of the fragment in the packet; 0 for an unfragmented packet
     bool has_more = false;   ///< true if more fragments follow this fragment
@@ -95,24 +88,22 @@ std::optional<IpPacket> parse_udp_ipv6_packet(std::string_view packet) {
     return next == kUdp ? std::optional(std::move(result)) : std::nullopt;
 }
 
-/// Returns the UDP packet in a captured network frame, or nothing if the frame contains
-/// another protocol.
+/// Size of the header of a frame, and byte offset of its EtherType.
+struct LinkType {
+    int link;
+    std::size_t head, type_at;
+};
+constexpr std::size_t kNoType = std::size_t(-1);
+constexpr LinkType kLinkTypes[] = {{DLT_EN10MB, 14, 12},   {DLT_LINUX_SLL, 16, 14}, {DLT_LINUX_SLL2, 20, 0},
+                                   {DLT_NULL, 4, kNoType}, {DLT_LOOP, 4, kNoType},  {DLT_RAW, 0, kNoType},
+                                   {DLT_IPV4, 0, kNoType}};
+
+/// Returns the UDP packet in a captured network frame, if it has one.
+/// @param link_type  in the table kLinkTypes
 std::optional<IpPacket> parse_ip_packet(std::string_view network_frame, int link_type) {
-    std::size_t head = 0;
-    unsigned type = 0;
-    if (link_type == DLT_EN10MB) {
-        head = 14;
-        type = read_big_endian_uint16(network_frame, 12);
-    }
-    if (link_type == DLT_LINUX_SLL) {
-        head = 16;
-        type = read_big_endian_uint16(network_frame, 14);
-    }
-    if (link_type == DLT_LINUX_SLL2) {
-        head = 20;
-        type = read_big_endian_uint16(network_frame, 0);
-    }
-    if (link_type == DLT_NULL || link_type == DLT_LOOP) head = 4;
+    const LinkType& link = *std::ranges::find(kLinkTypes, link_type, &LinkType::link);
+    std::size_t head = link.head;
+    unsigned type = link.type_at == kNoType ? 0 : read_big_endian_uint16(network_frame, link.type_at);
     // skips VLAN tags
     for (; type == 0x8100 || type == 0x88a8 || type == 0x9100; head += 4)
         type = read_big_endian_uint16(network_frame, head + 2);
@@ -124,19 +115,16 @@ std::optional<IpPacket> parse_ip_packet(std::string_view network_frame, int link
     return std::nullopt;
 }
 
-/// A UDP datagram of a sensor.
 struct Datagram {
-    std::string source;    ///< address of the sender and destination port, for example "192.168.1.201:2368"
-    std::uint64_t at = 0;  ///< byte offset in the file of the first frame of the datagram
+    std::string source;    ///< sender and destination port, for example "192.168.1.201:2368"
+    std::uint64_t at = 0;  ///< byte offset of its first frame in the file
     std::int64_t stamp_ns = 0;
     std::string bytes;
 };
 
-/// Reassembles fragmented IP packets. Fragments may arrive late, twice, or mixed with
-/// fragments of other packets.
+/// Fragments may arrive late, twice, or mixed with fragments of other packets.
 class IpReassembler {
 public:
-    /// Adds an IP packet or a fragment.
     /// @return UDP header and payload, if all fragments of the datagram have been added
     std::optional<Datagram> add_fragment_and_get_full_datagram(const IpPacket& packet,
                                                                std::uint64_t file_offset,
@@ -199,9 +187,7 @@ public:
             fail("{}: cannot read the capture ({}), expected packets in the format pcap or pcapng",
                  path.string(), shorten_for_error_message(why));
         link_ = pcap_datalink(pcap_.get());
-        const std::vector<int> supported_link_types = {DLT_EN10MB, DLT_LINUX_SLL, DLT_LINUX_SLL2, DLT_NULL,
-                                                       DLT_LOOP,   DLT_RAW,       DLT_IPV4};
-        if (std::ranges::find(supported_link_types, link_) == supported_link_types.end())
+        if (std::ranges::find(kLinkTypes, link_, &LinkType::link) == std::end(kLinkTypes))
             fail("{}: found packets of link type {}, expected Ethernet, Linux cooked or raw IP",
                  path.string(), link_);
         begin_ = get_file_position();
@@ -249,8 +235,7 @@ public:
         const auto stream = std::ranges::find_if(
             streams_, [&](const auto& keyed) { return keyed.second.number == place.in_chunk; });
         if (stream == streams_.end())
-            throw DataError(
-                "the capture file changed while it was read: one of its packet streams is missing");
+            fail("the capture file changed while it was read: one of its packet streams is missing");
         seek_to_byte(place.at);
         IpReassembler fragments;
         std::string run;
@@ -268,9 +253,8 @@ public:
     }
 
 private:
-    /// Key of a stream in a capture: sender and destination port, LiDAR product, and
-    /// metadata of an Ouster. The product is null for datagrams that are not LiDAR
-    /// packets.
+    /// Sender and destination port, LiDAR product, and metadata of an Ouster. The product
+    /// is null for datagrams that are not LiDAR packets.
     using CaptureStreamKey =
         std::tuple<std::string, const packets::LidarProduct*, const packets::OusterMetadata*>;
     struct CaptureStream {
@@ -279,16 +263,14 @@ private:
         const packets::LidarProduct* product = nullptr;
         std::string run;
         std::size_t n = 0;
-        /// Byte offsets in the capture file. A message consists of datagrams, whose IP
-        /// fragments can be mixed. `first_at`: start of the datagram that is complete
-        /// first. `at`: earliest start of any datagram of the message. Reading begins
-        /// there.
+        /// Byte offsets of a message, whose IP fragments can be mixed: the earliest start
+        /// of a datagram, where reading begins, and the start of the first complete
+        /// datagram.
         std::uint64_t at = 0, first_at = 0;
         std::int64_t log_ns = 0;
         /// `first_at` by `at`, for messages in which they differ.
         std::map<std::uint64_t, std::uint64_t> late_runs;
-        /// Number of datagrams of each size in bytes. Used only for streams that contain
-        /// no packets of a known LiDAR product.
+        /// Number of datagrams of each size, for streams of unknown products.
         std::map<std::size_t, std::size_t> n_of_bytes;
         std::shared_ptr<const packets::OusterMetadata> ouster;  ///< metadata of the sensor
         std::string livox_frame;  ///< frame name of the clouds of a Livox; empty for other products
@@ -341,8 +323,7 @@ private:
             constexpr std::int64_t kLatest_s = 4'000'000'000;  // later times are damaged
             if (std::int64_t(head->ts.tv_sec) < 0 || std::int64_t(head->ts.tv_sec) > kLatest_s) continue;
             const std::string_view frame(reinterpret_cast<const char*>(data), head->caplen);
-            // Contains nanoseconds in tv_usec, because libpcap was opened with this
-            // precision.
+            // tv_usec has nanoseconds, as requested from libpcap
             const std::int64_t stamp_ns = std::int64_t(head->ts.tv_sec) * 1000000000 + head->ts.tv_usec;
             const std::optional<IpPacket> packet = parse_ip_packet(frame, link_);
             if (!packet) continue;
@@ -366,9 +347,8 @@ private:
                 ouster.get()};
     }
 
-    /// Adds notes for the user about packets that cannot be decoded, although they have
-    /// the size of Ouster packets. Also adds a note if packets of two sensors match the
-    /// same metadata file.
+    /// Reports packets that cannot be decoded, although they have the size of Ouster
+    /// packets, and packets of two sensors that match the same metadata file.
     void report_undecoded_ouster_packets(const MessageReadCallbacks& callbacks) const {
         std::map<const packets::OusterMetadata*, std::string> senders;
         for (const auto& [key, stream] : streams_) {
@@ -404,8 +384,7 @@ private:
         if (stream.product) stream.ouster = find_ouster_metadata_of_datagram(datagram);
         if (packets::is_livox_point_packet(get_udp_payload(datagram))) stream.livox_frame = datagram.source;
         std::string name = datagram.source;
-        // Two Ousters can use the same address and port. The serial number distinguishes
-        // them.
+        // two Ousters can use the same address and port
         for (const auto& [other, known] : streams_)
             if (stream.ouster && known.ouster && std::get<0>(other) == datagram.source)
                 name = fmt::format("{} ({})", datagram.source, stream.ouster->serial);
@@ -417,27 +396,19 @@ private:
         return &streams_.emplace(std::move(key), std::move(stream)).first->second;
     }
 
-    /// Returns true if no more datagrams fit into the current message of a stream.
-    /// @param n_datagrams_in_message  number of datagrams in the message
-    /// @param time_since_message_start_ns  time from the first to the last datagram of
-    /// the message
+    /// @param time_since_message_start_ns  time from the first to the last datagram
     static bool is_message_complete(const CaptureStream& stream, std::size_t n_datagrams_in_message,
                                     std::int64_t time_since_message_start_ns) {
         return stream.livox_frame.empty() ? n_datagrams_in_message == kRun
                                           : time_since_message_start_ns >= packets::kLivoxCloud_ns ||
                                                 n_datagrams_in_message == packets::kMostLivoxPackets;
     }
-    /// Returns true if a Livox sensor paused before a datagram. The datagram then begins
-    /// a new message.
-    /// @param n_datagrams_in_message  number of datagrams in the message so far
-    /// @param time_since_message_start_ns  time from the first datagram of the message to
-    /// this datagram
+    /// A datagram of a Livox after a pause begins a new message.
     static bool is_datagram_after_pause(const CaptureStream& stream, std::size_t n_datagrams_in_message,
                                         std::int64_t time_since_message_start_ns) {
         return n_datagrams_in_message > 0 && !stream.livox_frame.empty() &&
                time_since_message_start_ns >= 2 * packets::kLivoxCloud_ns;
     }
-    /// Encodes datagrams as one message of the stream's topic.
     static std::string encode_stream_message(const CaptureStream& stream, std::string datagram_bytes) {
         return stream.livox_frame.empty()
                    ? datagram_bytes

@@ -1,8 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
 // Replaces pcap_file.cpp if libpcap is missing or RELIDAR_PCAP is off.
-#include <fmt/format.h>
-
-#include <relidar/base/error.hpp>
 
 #include "base/fail.hpp"
 #include "log/readers/bag/bag_file.hpp"

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "log/readers/bag/recording_notes.hpp"
+#include "log/readers/bag/survey.hpp"
 
 #include <algorithm>
 #include <cmath>
@@ -51,9 +51,7 @@ std::vector<std::string> format_line_per_topic(const BagRecording& bag, const Ba
         const TopicStatistics& facts = bag_index.facts[t];
         std::string line = fmt::format("topic {}: {}", shorten_for_error_message(topic.name),
                                        shorten_for_error_message(topic.type));
-        // A network capture (topic type kDatagrams) has no real messages, because the
-        // reader itself groups the packets into messages. So the number and the rate of
-        // these messages are not printed.
+        // The messages of a network capture are groups of packets that the reader makes.
         const bool is_run = topic.type == packets::kDatagrams;
         if (!is_run) line += fmt::format(", {} messages", facts.n);
         if (!is_run && facts.compute_message_rate_hz() > 0.0)

@@ -5,8 +5,6 @@
 #include <map>
 #include <optional>
 
-#include <fmt/format.h>
-
 #include "base/codecs/byte_reader.hpp"
 #include "base/fail.hpp"
 #include "base/files.hpp"
@@ -75,14 +73,8 @@ public:
                 return;
             }
             callbacks.done(double(at) / double(file_.size()));
-            try {
-                process_ros1_record_or_chunk(at, *record, topics, callbacks);
-            } catch (const DataError& error) {
-                const std::string text = fmt::format("{}: the record at byte {} cannot be read: {}",
-                                                     file_.name(), at, error.what());
-                if (!skip_broken_) throw DataError(text + "; use dataset.skip_broken=true to skip it");
-                callbacks.note("skipped: " + text);
-            }
+            process_or_skip(file_.name(), at, skip_broken_, callbacks,
+                            [&] { process_ros1_record_or_chunk(at, *record, topics, callbacks); });
             at = record->data_at + record->data_bytes;
         }
     }

@@ -7,10 +7,6 @@
 
 #include <sqlite3.h>
 
-#include <fmt/format.h>
-
-#include <relidar/base/error.hpp>
-
 #include "base/fail.hpp"
 #include "base/files.hpp"
 #include "log/readers/bag/bag_file.hpp"
@@ -43,9 +39,8 @@ public:
     explicit SqliteFile(const std::filesystem::path& path)
         : name_(path.string()), bytes_(RandomAccessFile(path).size()) {
         std::error_code failed;
-        // The last messages can be in a second file, the write-ahead log "...-wal".
-        // SQLite ignores this log in immutable mode. So immutable mode is used only if
-        // the log does not exist.
+        // The last messages can be in a write-ahead log "...-wal", which SQLite ignores
+        // in immutable mode.
         const bool is_open = std::filesystem::exists(path.string() + "-wal", failed);
         // Escapes the characters that have a special meaning in a URI.
         std::string uri = "file:";
@@ -65,7 +60,6 @@ public:
                       int(std::min<std::uint64_t>(bytes_ + (1 << 20), 1 << 30)));
         sqlite3_db_config(database, SQLITE_DBCONFIG_TRUSTED_SCHEMA, 0, nullptr);
         sqlite3_db_config(database, SQLITE_DBCONFIG_DEFENSIVE, 1, nullptr);
-        for (const char* table : {"topics", "messages"}) require_ordinary_table(table);
     }
 
     void for_each_message(TopicTable& topics, const MessageReadCallbacks& callbacks) override {
@@ -80,7 +74,7 @@ public:
         const std::int64_t last = get_last_row_id();
         const Statement rows =
             prepare_statement("SELECT rowid, topic_id, timestamp, data FROM messages ORDER BY rowid");
-        while (step_to_next_row_or_note_damage(rows.get(), callbacks)) {
+        while (step_to_next_row(rows.get(), &callbacks)) {
             const std::int64_t row = sqlite3_column_int64(rows.get(), 0);
             const auto topic = topic_of.find(sqlite3_column_int64(rows.get(), 1));
             if (topic == topic_of.end())
@@ -100,10 +94,8 @@ public:
         sqlite3_reset(one_.get());
         sqlite3_bind_int64(one_.get(), 1, std::int64_t(place.at));
         if (!step_to_next_row(one_.get()))
-            fail(
-                "{}: row {} of the table 'messages' has disappeared since the file was opened; do not change "
-                "the recording while relidar uses it",
-                name_, place.at);
+            fail("{}: row {} of the table 'messages' has disappeared since the file was opened", name_,
+                 place.at);
         return make_shared_bytes(std::string(get_bytes_column(one_.get(), 0)));
     }
 
@@ -126,40 +118,22 @@ private:
         return Statement(statement);
     }
 
-    bool step_to_next_row(sqlite3_stmt* statement) const {
+    /// Reads the next row of a query. If the file is damaged and `callbacks` are given,
+    /// ends the query with a note. Messages before the damage remain usable.
+    bool step_to_next_row(sqlite3_stmt* statement, const MessageReadCallbacks* callbacks = nullptr) const {
         const int code = sqlite3_step(statement);
-        if (code != SQLITE_ROW && code != SQLITE_DONE) throw_database_error("reading the list of messages");
+        if (callbacks && (code == SQLITE_CORRUPT || (code & 0xFF) == SQLITE_IOERR))
+            callbacks->note(
+                fmt::format("{}: the file is damaged or truncated ({}); later messages are missing", name_,
+                            sqlite3_errmsg(database_.get())));
+        else if (code != SQLITE_ROW && code != SQLITE_DONE)
+            throw_database_error("reading the list of messages");
         return code == SQLITE_ROW;
-    }
-    /// Reads the next row of a query. If the file is damaged, ends the query with a note.
-    /// Messages before the damage remain usable.
-    bool step_to_next_row_or_note_damage(sqlite3_stmt* statement,
-                                         const MessageReadCallbacks& callbacks) const {
-        const int code = sqlite3_step(statement);
-        if (code != SQLITE_CORRUPT && (code & 0xFF) != SQLITE_IOERR) {
-            if (code != SQLITE_ROW && code != SQLITE_DONE)
-                throw_database_error("reading the list of messages");
-            return code == SQLITE_ROW;
-        }
-        callbacks.note(fmt::format("{}: the file is damaged or truncated ({}); later messages are missing",
-                                   name_, sqlite3_errmsg(database_.get())));
-        return false;
     }
 
     std::int64_t get_last_row_id() const {
         const Statement row = prepare_statement("SELECT max(rowid) FROM messages");
         return step_to_next_row(row.get()) ? sqlite3_column_int64(row.get(), 0) : 0;
-    }
-
-    /// Checks that a name belongs to a real table. An untrusted file could instead define
-    /// a view with this name, whose query never ends.
-    void require_ordinary_table(const char* table_name) const {
-        const Statement row = prepare_statement(
-            fmt::format("SELECT 1 FROM sqlite_master WHERE type = 'table' AND name = '{}' AND sql NOT LIKE "
-                        "'%generated%' AND sql NOT LIKE '% as%(%)%' AND sql NOT LIKE 'create virtual%'",
-                        table_name));
-        if (!step_to_next_row(row.get()))
-            fail("{}: the table '{}' is missing, expected a database of rosbag2", name_, table_name);
     }
 };
 

@@ -15,7 +15,7 @@
 #include "base/median.hpp"
 #include "log/readers/bag/packets/ouster.hpp"
 #include "log/readers/bag/packets/packet_messages.hpp"
-#include "log/readers/bag/unpacked_file.hpp"
+#include "log/readers/bag/part_file.hpp"
 
 namespace relidar::bag {
 namespace {
@@ -32,7 +32,7 @@ public:
         if (facts.n++ == 0) facts.first_ns = facts.last_ns = message.log_ns;
         facts.first_ns = std::min(facts.first_ns, message.log_ns);
         facts.last_ns = std::max(facts.last_ns, message.log_ns);
-        try {
+        count_if_broken(message.topic, [&] {
             const BagTopic& topic = bag_.topics()[message.topic];
             const MessagePurpose use = get_message_purpose_of_topic(topic);
             if (use == MessagePurpose::cloud) index_cloud_message(topic, message);
@@ -41,25 +41,16 @@ public:
             if (use == MessagePurpose::transforms) index_transform_message(topic, message);
             if (use == MessagePurpose::pose) index_pose_message(topic, message);
             if (use == MessagePurpose::boxes) index_box_list_message(topic, message);
-        } catch (const DataError& error) {
-            if (facts.n_broken++ == 0) facts.broken = error.what();
-        }
+        });
     }
 
-    /// Returns true if some packets were recorded before the metadata that are needed to
-    /// decode them. These packets are then decoded in a second pass.
+    /// Packets that were recorded before their metadata are decoded in a second pass.
     bool has_packets_for_second_pass() const { return !late_.empty(); }
     bool is_topic_for_second_pass(std::size_t topic_index) const { return late_.contains(topic_index); }
     void index_packets_in_second_pass(const BagMessage& message) {
-        TopicStatistics& facts = survey_.facts[message.topic];
-        try {
-            index_packet_message(bag_.topics()[message.topic], message);
-        } catch (const DataError& error) {
-            if (facts.n_broken++ == 0) facts.broken = error.what();
-        }
+        count_if_broken(message.topic, [&] { index_packet_message(bag_.topics()[message.topic], message); });
     }
-    /// Reads sensor metadata from files next to the recording. Ouster packets without
-    /// metadata in the recording can be decoded only after this call.
+    /// Reads the metadata of Ousters from files next to the recording.
     void read_ouster_metadata_files() {
         if (has_read_metadata_) return;
         has_read_metadata_ = true;
@@ -80,6 +71,16 @@ private:
     std::set<std::size_t> late_;           ///< topics with packets that were recorded before their metadata
     std::string broken_metadata_;
     bool has_read_metadata_ = false;
+
+    template <class Function>
+    void count_if_broken(std::size_t topic_index, const Function& index_message) {
+        try {
+            index_message();
+        } catch (const DataError& error) {
+            TopicStatistics& facts = survey_.facts[topic_index];
+            if (facts.n_broken++ == 0) facts.broken = error.what();
+        }
+    }
 
     void index_cloud_message(const BagTopic& topic, const BagMessage& message) {
         const CloudMessage cloud = read_cloud_of_message(topic, message.bytes);
@@ -141,8 +142,7 @@ private:
         clouds.packets.add_packets_of_message(views, message.log_ns, message.message_position, calibration);
     }
 
-    /// Adds the sensor metadata in a message. Uses only the first message of a topic,
-    /// because drivers repeat it. Ignores messages with other content.
+    /// Drivers repeat the metadata. Ignores messages with other content.
     void store_first_ouster_metadata_message(const BagTopic& topic, const BagMessage& message) {
         if (std::ranges::any_of(ousters_, [&](const auto& ouster) { return ouster->where == topic.name; }))
             return;
@@ -151,7 +151,6 @@ private:
             ousters_.push_back(packets::parse_ouster_metadata(text, topic.name));
     }
 
-    /// Reads the transforms of a message. Counts transforms with an invalid pose.
     std::vector<TransformMessage> read_valid_transforms(const BagTopic& topic, const BagMessage& message) {
         TransformListMessage list = read_transforms_of_message(topic, message.bytes);
         TopicStatistics& facts = survey_.facts[message.topic];

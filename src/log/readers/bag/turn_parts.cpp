@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "log/readers/bag/turn_parts.hpp"
+#include "log/readers/bag/survey.hpp"
 
 #include <algorithm>
 #include <array>
@@ -15,23 +15,21 @@ namespace relidar::bag {
 namespace {
 
 constexpr std::size_t kSamples = 256, kBins = 60;
-// Maximum azimuth range of a part of a revolution. A cloud with a wider range is a full
-// revolution in which the vehicle blocks some directions.
+// A cloud with a wider azimuth range is a full revolution in which the vehicle blocks
+// some directions.
 constexpr double kMostOfPart = 300.0 * kPi / 180.0;
-// If the clouds together leave an azimuth gap that is wider than this, the LiDAR does not
-// rotate. It scans only a limited sector.
+// If the clouds together leave a wider azimuth gap, the LiDAR does not rotate.
 constexpr double kLeastGap_rad = kPi / 3.0;
-// Clouds are slices of a revolution if two conditions are true. The azimuth steps from
-// cloud to cloud are about equal: |mean of exp(i step)| is at least kTogether. A step is
-// about as wide as a cloud: |mean step - w| / mean step is at most kAbut. w is the median
-// width of a cloud, or 2 pi minus this width if that is smaller.
+// Clouds are slices of a revolution if their azimuth steps are about equal, |mean of
+// exp(i step)| >= kTogether, and about as wide as a cloud, |mean step - w| <= kAbut mean
+// step. w is the median width of a cloud, or 2 pi minus this width if that is smaller.
 constexpr double kTogether = 0.8, kAbut = 0.4;
-// If a time step is longer than this multiple of the usual step, a part of a revolution
-// is missing.
+// A part of a revolution is missing if a time step exceeds this multiple of the usual
+// step.
 constexpr double kPause = 1.6;
 constexpr double kDegrees = 180.0 / kPi;
 
-/// Returns the value of a float or double field of a point, in either byte order.
+/// @param field  float or double
 double read_float_field_value(const CloudMessage& cloud, const CloudMessage::CloudField& field,
                               std::size_t point_index) {
     const std::size_t row = point_index / cloud.width * (cloud.height > 1 ? cloud.row_step : 0);
@@ -51,8 +49,7 @@ const CloudMessage::CloudField* find_float_field(const CloudMessage& cloud, cons
     return field == cloud.fields.end() || field->kind != 'F' ? nullptr : &*field;
 }
 
-/// Returns the azimuth range that contains all points: the full circle except its widest
-/// gap.
+/// Returns the full circle except its widest gap.
 std::optional<AzimuthArc> find_occupied_azimuth_range(const std::array<bool, kBins>& is_bin_occupied) {
     std::size_t widest = 0, end = 0, run = 0;
     // Loops over the circle twice, because its widest gap may contain the azimuth pi.
@@ -81,15 +78,15 @@ double compute_widest_azimuth_gap_rad(const std::vector<RevolutionPart>& partial
     return 2.0 * kPi - double(all ? all->extent_rad : 0.0f);
 }
 
-/// How a revolution of the LiDAR is split into several clouds (parts).
+/// How a revolution is split into several clouds.
 struct RevolutionPartition {
-    /// extent_rad: median azimuth width of a cloud. step_rad: mean azimuth step from one
-    /// cloud to the next. It is negative if the LiDAR rotates clockwise, and also if
-    /// clouds are half revolutions, because the direction is then unknown.
-    double extent_rad, step_rad;
+    double extent_rad;  ///< median azimuth width of a cloud
+    /// Mean azimuth step from cloud to cloud. Negative if the LiDAR rotates clockwise,
+    /// and if clouds are half revolutions, because the direction is then unknown.
+    double step_rad;
     double step_s;
-    /// Azimuth at which a revolution begins. It is a border between two clouds of a
-    /// revolution: the one that is nearest to the rear of the LiDAR.
+    /// Azimuth at which a revolution begins: the border between two clouds that is
+    /// nearest to the rear of the LiDAR.
     double cut_rad;
 };
 
@@ -144,7 +141,7 @@ JoinedRevolutions join_partial_clouds_to_revolutions(std::vector<RevolutionPart>
     const std::optional<RevolutionPartition> parts = estimate_how_clouds_split_revolution(partial_clouds);
     JoinedRevolutions joined;
     if (!parts) return joined;
-    // Returns the rotation between the start of the revolution and a part, 0 to 2 pi.
+    // rotation since the start of the revolution, 0 to 2 pi
     const auto turned = [&](const RevolutionPart& part) {
         const double angle =
             (parts->step_rad < 0.0 ? -1.0 : 1.0) * (double(part.arc.middle_rad) - parts->cut_rad);

@@ -26,9 +26,6 @@
 #include <cmath>
 #include <limits>
 
-#include <fmt/format.h>
-
-#include <relidar/base/error.hpp>
 #include <relidar/base/math.hpp>
 #include <relidar/log/sensor_pattern.hpp>
 
@@ -45,9 +42,8 @@ constexpr int kNoRing = -1;
 constexpr double kDegree = kPi / 180.0;
 constexpr double kLargestStep_deg = 5.0;  // maximum rotation between two blocks
 
-/// Stores a return of a ray. A ray keeps at most two returns. A third return replaces the
-/// darker of the two, if it is brighter and differs in range from both.
-/// @param return_index  number of the return in the packet, from 0
+/// A ray keeps at most two returns. A third return replaces the darker of the two, if it
+/// is brighter and differs in range from both.
 void keep_two_brightest_returns_of_ray(std::array<DecodedReturn, 2>& ray_returns, std::size_t return_index,
                                        const DecodedReturn& new_return) {
     if (return_index < 2) {
@@ -144,13 +140,11 @@ private:
     const PacketLayout& layout_;
     FiringTiming timing_;
     std::vector<BeamFiring> table_;
-    /// [lasers] angles that the manufacturer measured for each laser; empty if unknown
-    std::vector<LaserAngles> angles_;
-    /// text for the user that names the source of the angles
+    std::vector<LaserAngles> angles_;  ///< [lasers] from the angle correction file; may be empty
     std::string angles_about_ = "beam angles from the data sheet";
     std::vector<PacketBeam> beams_;  ///< [rings]
-    /// ring_of_[firing sequence][laser]: row of the laser in the range image; kNoRing if
-    /// the laser does not fire in this sequence (set of lasers that fire together)
+    /// [firing sequences, lasers] row in the range image, or kNoRing if the laser does
+    /// not fire in this sequence
     std::vector<std::vector<int>> ring_of_;
 
     /// Selects the angle correction file with the right number of lasers. Uses no file if
@@ -173,8 +167,9 @@ private:
             if (!files.empty()) {
                 angles_.clear();
                 angles_about_ = fmt::format(
-                    "beam angles from the data sheet, because {} and {} both have angles of {} lasers; give "
-                    "the file of this sensor the name of the recording, with the ending .csv",
+                    "beam angles from the data sheet, because {} and {} both have angles of {} lasers; the "
+                    "file "
+                    "of this sensor needs the name of the recording",
                     files, correction.where, n);
                 return;
             }
@@ -185,8 +180,7 @@ private:
         if (files.empty()) angles_about_ += reasons;
     }
 
-    /// Some sensors alternate between two sets of lasers. Returns the index of the set
-    /// that fires, 0 or 1.
+    /// Returns which of two sets of lasers fires, 0 or 1.
     /// @param firing_index  index of the firing in the packet
     int read_firing_sequence_index(std::string_view packet_bytes, std::size_t firing_index,
                                    std::size_t n_returns) const {
@@ -204,7 +198,6 @@ private:
         return layout_.is_big_endian ? std::uint16_t(value << 8 | value >> 8) : value;
     }
 
-    /// Reads the time of a packet on the sensor's clock, in nanoseconds.
     std::int64_t read_sensor_clock_ns(std::string_view packet_bytes) const {
         bag::ByteReader reader(packet_bytes.substr(layout_.time_at));
         if (!layout_.is_big_endian)
@@ -225,8 +218,7 @@ private:
         return std::fmod(azimuth_deg - layout_.forward_deg + 360.0, 360.0);
     }
 
-    /// Reads the ranges and reflectivities of all lasers of a block.
-    /// @param ring_of_laser  ring of each laser of the block
+    /// @param ring_of_laser  [lasers of the block]
     /// @param returns_of_each_ring  [rings] output
     void read_block_echoes(bag::ByteReader& reader, double range_unit_m, std::size_t return_index,
                            const int* ring_of_laser,
@@ -242,8 +234,8 @@ private:
         }
     }
 
-    /// Computes the time of each firing in a packet. If a block contains several firings,
-    /// it stores only one azimuth, so the other azimuths are interpolated.
+    /// If a block contains several firings, it stores only one azimuth, so the other
+    /// azimuths are interpolated.
     void set_firing_times_and_azimuths(DecodedPacket& packet) const {
         const int n = packet.n_slots, per_block = int(layout_.firings);
         double step_deg = 0.0;  // rotation between two blocks
@@ -258,8 +250,7 @@ private:
             if (slot % per_block == 0 && next < packet.firings.size()) {
                 const double to_next =
                     std::remainder(packet.firings[next].azimuth_deg - firing.azimuth_deg, 360.0);
-                // Ignores a large azimuth step, because the sensor does not fire in this
-                // sector.
+                // Ignores a sector in which the sensor does not fire.
                 if (std::abs(to_next) < kLargestStep_deg) step_deg = to_next;
             }
             firing.azimuth_deg = std::fmod(
@@ -293,11 +284,10 @@ std::vector<PacketBeam> list_beams_of_packet_layout(const PacketLayout& layout) 
 std::unique_ptr<PacketDecoder> make_block_packet_decoder(const char* product_name,
                                                          const DecoderCalibration& calibration) {
     const auto find_layout = [](const std::string& row_name) {
-        return std::ranges::find_if(kLayouts, [&](const PacketLayout& row) { return row.name == row_name; });
+        return std::ranges::find(kLayouts, row_name, &PacketLayout::name);
     };
     const auto* layout =
         find_layout(std::string(product_name) + (calibration.has_two_returns ? " with two returns" : ""));
-    // If the sensor has no separate layout for two returns, uses its usual layout.
     if (layout == std::end(kLayouts)) layout = find_layout(product_name);
     return std::make_unique<BlockDecoder>(*layout, calibration.corrections);
 }

@@ -147,182 +147,118 @@ struct PacketBeam {
 /// table. A laser that fires in two firing sequences has two beams.
 std::vector<PacketBeam> list_beams_of_packet_layout(const PacketLayout& layout);
 
-// One row per product. Hesai's manuals state the time of each laser relative to the start
-// of its block. In relidar, the first laser of a firing has the time 0. So `shift_us` is
-// the sum of the start of the block and the time of its first laser. A firing of the
-// VLS-128 takes 55.3 us, although its manual states 53.3 us.
+/// Velodyne: 12 blocks that begin with FF EE. A firing of the VLS-128 takes 55.3 us,
+/// although its manual states 53.3 us.
+constexpr PacketLayout make_velodyne_layout(const char* name, std::size_t block_lasers, std::size_t firings,
+                                            std::size_t banks, double range_unit_m, double cycle_us,
+                                            double shift_us) {
+    PacketLayout layout{name, name};
+    layout.flagged = true;
+    layout.block_lasers = block_lasers;
+    layout.firings = firings;
+    layout.banks = banks;
+    layout.range_unit_m = range_unit_m;
+    layout.time_at = 1200;
+    layout.mode_at = 1204;
+    layout.wrap_us = 3.6e9;
+    layout.cycle_us = cycle_us;
+    layout.at_end = false;
+    layout.shift_us = shift_us;
+    layout.forward_deg = 0.0;
+    layout.first_channel = 0;
+    layout.has_correction_file = false;
+    return layout;
+}
+
+constexpr PacketLayout make_rs16_layout(const char* name, std::size_t firings, std::size_t block_returns) {
+    PacketLayout layout = make_velodyne_layout("RS-LiDAR-16", 16, firings, 1, 0.005, 55.5, 0.0);
+    layout.name = name;
+    layout.blocks_at = 42;
+    layout.block_returns = block_returns;
+    layout.time_at = 26;
+    layout.mode_at = 0;
+    layout.is_big_endian = true;
+    layout.wrap_us = 1e6;
+    layout.first_channel = 1;
+    return layout;
+}
+
+/// Hesai's manuals state the time of each laser relative to the start of its block. In
+/// relidar, the first laser of a firing has the time 0. So `shift_us` is the sum of the
+/// start of the block and the time of its first laser.
+constexpr PacketLayout make_hesai_layout(const char* name, std::size_t blocks_at, std::size_t n_blocks,
+                                         std::size_t block_lasers, std::size_t unit_bytes,
+                                         std::size_t time_at, std::size_t mode_at, double cycle_us,
+                                         double shift_us) {
+    PacketLayout layout{name, name, blocks_at, n_blocks};
+    layout.block_lasers = block_lasers;
+    layout.unit_bytes = unit_bytes;
+    layout.time_at = time_at;
+    layout.mode_at = mode_at;
+    layout.cycle_us = cycle_us;
+    layout.shift_us = shift_us;
+    return layout;
+}
+
+constexpr PacketLayout make_pandar40p_layout() {
+    PacketLayout layout = make_hesai_layout("Pandar40P", 0, 10, 40, 3, 1250, 1254, 55.56, -28.58 - 54.67);
+    layout.flagged = true;
+    layout.range_unit_m = 0.004;
+    return layout;
+}
+
+constexpr PacketLayout make_pandar64_layout() {
+    PacketLayout layout = make_hesai_layout("Pandar64", 8, 6, 64, 3, 1182, 1186, 55.56, -42.58 - 54.668);
+    layout.unit_at = 5;
+    return layout;
+}
+
+constexpr PacketLayout make_qt64_layout() {
+    PacketLayout layout = make_hesai_layout("QT64", 12, 4, 64, 4, 1056, 1060, 500.0 / 3.0, 25.71 + 12.31);
+    layout.at_end = false;
+    return layout;
+}
+
+constexpr PacketLayout make_qt128_layout() {
+    PacketLayout layout = make_hesai_layout("QT128", 12, 2, 128, 4, 1082, 1073, 1000.0 / 9.0, 9.0 + 0.6);
+    layout.loops = kQt128Loops;
+    layout.part_rule = FiringSequenceRule::mode_flag;
+    layout.part_at = 1066;
+    return layout;
+}
+
+constexpr PacketLayout make_ot128_layout(bool is_fine) {
+    PacketLayout layout =
+        make_hesai_layout("OT128", 12, 2, 128, 3, 826, 817, (is_fine ? 250.0 : 500.0) / 9.0, 43.346);
+    layout.last_marker = 3;
+    if (is_fine) {
+        layout.name = "OT128 in high resolution";
+        layout.loops = kOt128States;
+        layout.part_rule = FiringSequenceRule::azimuth_state;
+        layout.part_at = 814;
+    } else {
+        layout.shift_us = 43.346 + 2.378;
+        layout.loops = kOt128Standard;
+    }
+    return layout;
+}
+
 inline constexpr PacketLayout kLayouts[] = {
-    {.name = "VLP-16",
-     .sensor = "VLP-16",
-     .flagged = true,
-     .block_lasers = 16,
-     .firings = 2,
-     .range_unit_m = 0.002,
-     .time_at = 1200,
-     .mode_at = 1204,
-     .wrap_us = 3.6e9,
-     .cycle_us = 55.296,
-     .at_end = false,
-     .forward_deg = 0.0,
-     .first_channel = 0,
-     .has_correction_file = false},
-    {.name = "VLP-32C",
-     .sensor = "VLP-32C",
-     .flagged = true,
-     .range_unit_m = 0.004,
-     .time_at = 1200,
-     .mode_at = 1204,
-     .wrap_us = 3.6e9,
-     .cycle_us = 55.296,
-     .at_end = false,
-     .forward_deg = 0.0,
-     .first_channel = 0,
-     .has_correction_file = false},
-    {.name = "HDL-32E",
-     .sensor = "HDL-32E",
-     .flagged = true,
-     .range_unit_m = 0.002,
-     .time_at = 1200,
-     .mode_at = 1204,
-     .wrap_us = 3.6e9,
-     .cycle_us = 46.08,
-     .at_end = false,
-     .forward_deg = 0.0,
-     .first_channel = 0,
-     .has_correction_file = false},
-    {.name = "VLS-128",
-     .sensor = "VLS-128",
-     .flagged = true,
-     .banks = 4,
-     .range_unit_m = 0.004,
-     .time_at = 1200,
-     .mode_at = 1204,
-     .wrap_us = 3.6e9,
-     .cycle_us = 55.296,
-     .at_end = false,
-     .shift_us = -8.7,
-     .forward_deg = 0.0,
-     .first_channel = 0,
-     .has_correction_file = false},
-    {.name = "RS-LiDAR-16",
-     .sensor = "RS-LiDAR-16",
-     .blocks_at = 42,
-     .flagged = true,
-     .block_lasers = 16,
-     .firings = 2,
-     .range_unit_m = 0.005,
-     .time_at = 26,
-     .is_big_endian = true,
-     .cycle_us = 55.5,
-     .at_end = false,
-     .forward_deg = 0.0,
-     .has_correction_file = false},
-    {.name = "RS-LiDAR-16 with two returns",
-     .sensor = "RS-LiDAR-16",
-     .blocks_at = 42,
-     .flagged = true,
-     .block_lasers = 16,
-     .block_returns = 2,
-     .range_unit_m = 0.005,
-     .time_at = 26,
-     .is_big_endian = true,
-     .cycle_us = 55.5,
-     .at_end = false,
-     .forward_deg = 0.0,
-     .has_correction_file = false},
-    {.name = "Pandar40P",
-     .sensor = "Pandar40P",
-     .n_blocks = 10,
-     .flagged = true,
-     .block_lasers = 40,
-     .range_unit_m = 0.004,
-     .time_at = 1250,
-     .mode_at = 1254,
-     .cycle_us = 55.56,
-     .shift_us = -28.58 - 54.67},
-    {.name = "Pandar64",
-     .sensor = "Pandar64",
-     .blocks_at = 8,
-     .n_blocks = 6,
-     .block_lasers = 64,
-     .unit_at = 5,
-     .time_at = 1182,
-     .mode_at = 1186,
-     .cycle_us = 55.56,
-     .shift_us = -42.58 - 54.668},
-    {.name = "XT32",
-     .sensor = "XT32",
-     .blocks_at = 12,
-     .n_blocks = 8,
-     .unit_bytes = 4,
-     .time_at = 1071,
-     .mode_at = 1062,
-     .shift_us = 5.632 + 0.368},
-    {.name = "XT16",
-     .sensor = "XT16",
-     .blocks_at = 12,
-     .n_blocks = 8,
-     .block_lasers = 16,
-     .unit_bytes = 4,
-     .time_at = 559,
-     .mode_at = 550,
-     .shift_us = 5.632 + 0.368},
-    {.name = "XT32M",
-     .sensor = "XT32M",
-     .blocks_at = 12,
-     .n_blocks = 6,
-     .unit_bytes = 4,
-     .time_at = 811,
-     .mode_at = 802,
-     .shift_us = 5.632 + 0.368},
-    {.name = "QT64",
-     .sensor = "QT64",
-     .blocks_at = 12,
-     .n_blocks = 4,
-     .block_lasers = 64,
-     .unit_bytes = 4,
-     .time_at = 1056,
-     .mode_at = 1060,
-     .cycle_us = 500.0 / 3.0,
-     .at_end = false,
-     .shift_us = 25.71 + 12.31},
-    {.name = "QT128",
-     .sensor = "QT128",
-     .blocks_at = 12,
-     .n_blocks = 2,
-     .block_lasers = 128,
-     .unit_bytes = 4,
-     .time_at = 1082,
-     .mode_at = 1073,
-     .cycle_us = 1000.0 / 9.0,
-     .shift_us = 9.0 + 0.6,
-     .loops = kQt128Loops,
-     .part_rule = FiringSequenceRule::mode_flag,
-     .part_at = 1066},
-    {.name = "OT128",
-     .sensor = "OT128",
-     .blocks_at = 12,
-     .n_blocks = 2,
-     .block_lasers = 128,
-     .time_at = 826,
-     .mode_at = 817,
-     .cycle_us = 500.0 / 9.0,
-     .shift_us = 43.346 + 2.378,
-     .last_marker = 3,
-     .loops = kOt128Standard},
-    {.name = "OT128 in high resolution",
-     .sensor = "OT128",
-     .blocks_at = 12,
-     .n_blocks = 2,
-     .block_lasers = 128,
-     .time_at = 826,
-     .mode_at = 817,
-     .cycle_us = 250.0 / 9.0,
-     .shift_us = 43.346,
-     .last_marker = 3,
-     .loops = kOt128States,
-     .part_rule = FiringSequenceRule::azimuth_state,
-     .part_at = 814},
+    make_velodyne_layout("VLP-16", 16, 2, 1, 0.002, 55.296, 0.0),
+    make_velodyne_layout("VLP-32C", 32, 1, 1, 0.004, 55.296, 0.0),
+    make_velodyne_layout("HDL-32E", 32, 1, 1, 0.002, 46.08, 0.0),
+    make_velodyne_layout("VLS-128", 32, 1, 4, 0.004, 55.296, -8.7),
+    make_rs16_layout("RS-LiDAR-16", 2, 1),
+    make_rs16_layout("RS-LiDAR-16 with two returns", 1, 2),
+    make_pandar40p_layout(),
+    make_pandar64_layout(),
+    make_hesai_layout("XT32", 12, 8, 32, 4, 1071, 1062, 50.0, 5.632 + 0.368),
+    make_hesai_layout("XT16", 12, 8, 16, 4, 559, 550, 50.0, 5.632 + 0.368),
+    make_hesai_layout("XT32M", 12, 6, 32, 4, 811, 802, 50.0, 5.632 + 0.368),
+    make_qt64_layout(),
+    make_qt128_layout(),
+    make_ot128_layout(false),
+    make_ot128_layout(true),
 };
 
 }  // namespace relidar::packets

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "log/readers/bag/packets/correction.hpp"
+#include "log/readers/bag/packets/decoder.hpp"
 
 #include <algorithm>
 #include <cctype>
@@ -7,10 +7,6 @@
 #include <map>
 #include <set>
 #include <system_error>
-
-#include <fmt/format.h>
-
-#include <relidar/base/error.hpp>
 
 #include "base/csv.hpp"
 #include "base/fail.hpp"
@@ -31,7 +27,6 @@ bool is_equal_ignoring_case(std::string_view text, std::string_view lowercase_te
     });
 }
 
-/// Returns true if a file looks like an angle correction file of a LiDAR.
 bool is_angle_correction_file(const fs::path& file) {
     std::error_code failed;
     if (!is_equal_ignoring_case(file.extension().string(), ".csv") || !fs::is_regular_file(file, failed) ||
@@ -44,7 +39,6 @@ bool is_angle_correction_file(const fs::path& file) {
            is_equal_ignoring_case(header[2], "azimuth");
 }
 
-/// Reads all angle correction files in a folder.
 void add_angle_corrections_in_folder(const fs::path& folder, std::vector<AngleCorrection>& corrections) {
     std::vector<fs::path> files;
     std::error_code failed;

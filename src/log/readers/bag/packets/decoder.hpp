@@ -6,6 +6,7 @@
 
 #include <array>
 #include <cstdint>
+#include <filesystem>
 #include <memory>
 #include <string>
 #include <string_view>
@@ -13,20 +14,16 @@
 
 #include <relidar/log/sensor.hpp>
 
-#include "log/readers/bag/packets/correction.hpp"
-
 namespace relidar::packets {
 
-/// A received packet: its bytes and the time at which it was received.
 struct ReceivedPacket {
-    std::int64_t stamp_ns = 0;
+    std::int64_t stamp_ns = 0;  ///< time at which it was received
     std::string_view bytes;
 };
 
-/// One return of a ray: range and intensity.
 struct DecodedReturn {
     float range_m = 0.0f;    ///< distance from the origin of the beam; 0 means no return
-    float intensity = 0.0f;  ///< intensity from 0 to 1
+    float intensity = 0.0f;  ///< 0 to 1
 };
 
 /// One firing of all beams.
@@ -37,8 +34,7 @@ struct LaserFiring {
     /// Azimuth of the head at the start of the firing, clockwise from the sensor's x
     /// axis, in [0, 360).
     double azimuth_deg = 0.0;
-    /// index of the firing sequence, for sensors that alternate between several sequences
-    int part = 0;
+    int part = 0;  ///< index of the firing sequence
 };
 
 struct DecodedPacket {
@@ -54,51 +50,72 @@ struct DecodedPacket {
 /// Firing times of the lasers of a sensor.
 struct FiringTiming {
     double cycle_us = 0.0;  ///< time between firings
-    /// Number of firing sequences. It is above 1 if the sensor alternates between
-    /// sequences in which different lasers fire. A column of a scan contains one firing
-    /// of each sequence.
+    /// Number of firing sequences, above 1 if the sensor alternates between several sets
+    /// of lasers. A column of a scan contains one firing of each sequence.
     int parts = 1;
     /// time after which the sensor's clock restarts at 0; 0 if it never restarts
     double wrap_us = 0.0;
-    /// [rings] time between the first firing of a column (all lasers at one azimuth) and
-    /// the firing of each beam
+    /// [rings] time between the first firing of a column and the firing of each beam
     std::vector<double> offset_us;
     /// True if the head azimuth of each beam is interpolated between consecutive firings.
     /// False if the rotation rate is assumed to be constant.
     bool interpolates = false;
     /// [columns per revolution] True if the sensor fires at this column. Column 0 is at
-    /// 180 degrees. If a sensor has no fixed firing azimuths, this is empty and times are
-    /// from the packets' time stamps. Otherwise, times are from the sensor's clock.
+    /// 180 degrees. Empty if a sensor has no fixed firing azimuths; times are then from
+    /// the packets' time stamps, otherwise from the sensor's clock.
     std::vector<bool> fires = {};
-    /// True if the packets of this sensor can contain intensities above 1. If they do,
-    /// all intensities are divided by the 99.5th percentile of the intensities of the
-    /// topic.
+    /// True if intensities can exceed 1. If they do, they are divided by the 99.5th
+    /// percentile of the intensities of the topic.
     bool is_wide = false;
 };
 
 class PacketDecoder {
 public:
     virtual ~PacketDecoder() = default;
-    /// Decodes a packet of the product that this decoder supports.
     /// @throws DataError if the packet is invalid
     virtual DecodedPacket decode_packet(std::string_view packet_bytes) const = 0;
     virtual const FiringTiming& get_laser_timing() const = 0;
-    /// Returns the model of the spinning sensor. The beams are sorted from the highest to
-    /// the lowest.
-    /// @param columns_per_revolution  columns per revolution
+    /// Returns the sensor, highest beam first.
     virtual SpinningSensor make_spinning_sensor_model(int columns_per_revolution,
                                                       double rotation_rate_hz) const = 0;
-    /// Returns a text with the name of the product and the source of its beam angles.
+    /// Returns the name of the product and the source of its beam angles.
     virtual std::string describe_lidar_product() const = 0;
 };
 
+// Angle correction file of a Hesai sensor: the angles of each laser of one unit in
+// degrees, as measured by the manufacturer, azimuth clockwise. The first line is "Laser
+// id,Elevation,Azimuth" or "Channel,Elevation,Azimuth".
+
+struct LaserAngles {
+    double elevation_deg = 0.0, azimuth_deg = 0.0;
+};
+
+struct AngleCorrection {
+    std::string where;                ///< name of the file
+    bool is_named = false;            ///< true if the file has the same name as the recording
+    std::vector<LaserAngles> lasers;  ///< measured angles of laser 1, 2 and so on
+    std::string problem = {};         ///< why the file cannot be read; empty if it was read
+};
+
+/// @param error_location  name of the file, for error messages
+/// @throws DataError if a line is invalid, or if a laser is missing
+AngleCorrection parse_angle_correction(const std::string& csv_text, const std::string& error_location);
+
+/// Finds and reads the angle correction files of a recording. If .csv files have the
+/// names of the recording's files, reads only these. Otherwise reads all .csv files in
+/// the folder of the recording that begin like an angle correction. A ROS 2 bag is a
+/// folder; the folder above it is then also searched. A file that cannot be read has no
+/// lasers.
+/// @param recording_files  all files of the recording
+/// @throws DataError if the file with the name of the recording is damaged
+std::vector<AngleCorrection> find_angle_corrections(
+    const std::vector<std::filesystem::path>& recording_files);
+
 struct OusterMetadata;
 
-/// Calibration of a sensor, which its packets do not contain.
 struct DecoderCalibration {
     std::vector<AngleCorrection> corrections = {};  ///< angle corrections of Hesai's sensors
-    /// Packet format of an Ouster sensor, from its metadata. Null for other sensors, and
-    /// if the metadata is missing.
+    /// Metadata of an Ouster sensor; null for other sensors, or if missing.
     std::shared_ptr<const OusterMetadata> ouster = {};
     /// For an RS-LiDAR-16: true if each firing in a packet has two returns.
     bool has_two_returns = false;
@@ -107,8 +124,8 @@ struct DecoderCalibration {
 /// A LiDAR product whose packets relidar recognises.
 struct LidarProduct {
     const char* name;
-    /// Returns true if a packet has the size and the header of this product. The pointer
-    /// is null for Ouster, whose packets are recognised by the sensor's metadata.
+    /// Returns true if a packet has the size and the header of this product. Null for
+    /// Ouster, whose packets are recognised by the sensor's metadata.
     bool (*is)(std::string_view bytes);
     /// Creates a decoder. Null if relidar recognises the packets but cannot decode them.
     /// @throws DataError if a calibration is damaged or belongs to another sensor
@@ -116,24 +133,40 @@ struct LidarProduct {
     /// driver that the user can use if relidar cannot decode the packets
     const char* driver = "";
 };
-/// Finds the product that sent a packet by the size and header of the packet. For an
-/// Ouster, compares the size with the packet size in its metadata.
+/// Finds the product that sent a packet by its size and header, or by the Ouster
+/// metadata.
 /// @return null if no product matches
 const LidarProduct* find_product_of_packet(std::string_view packet_bytes,
                                            const DecoderCalibration& calibration);
-/// Returns the error message for packets that relidar cannot decode, for example "packets
-/// of a VLS-128, expected those of ...".
+/// Returns the error message for packets that relidar cannot decode.
 std::string format_unsupported_packet_error(const LidarProduct* product, std::string_view packet_bytes);
 
 /// Returns true if the packets of an RS-LiDAR-16 contain two returns per firing. The
 /// packets do not state this. With two returns, the time between packets is half as long.
 bool has_two_returns_per_firing(const std::vector<ReceivedPacket>& packets);
 
-/// Create a packet decoder for the product with this name. The first function is for
-/// Velodyne and Hesai, the second for Ouster.
+// Creators of decoders: for Velodyne, Hesai and RS-LiDAR-16, and for Ouster.
 std::unique_ptr<PacketDecoder> make_block_packet_decoder(const char* product_name,
                                                          const DecoderCalibration& calibration);
 std::unique_ptr<PacketDecoder> make_ouster_packet_decoder(const char* product_name,
                                                           const DecoderCalibration& calibration);
+
+// Livox sensors that use the protocol of Livox SDK2 (Mid-360, HAP). They do not rotate.
+// As in Livox's driver, the packets of 0.1 s form one cloud.
+
+/// Encoding and message type of the clouds that make_livox_cloud_message() returns.
+inline constexpr const char *kLivoxEncoding = "ros1", *kLivoxType = "livox_ros_driver2/CustomMsg";
+/// Duration of a cloud: slightly below 0.1 s, so that one starts about every 0.1 s.
+inline constexpr std::int64_t kLivoxCloud_ns = 99'000'000;
+inline constexpr std::size_t kMostLivoxPackets = 4096;  ///< maximum number of packets in one cloud
+
+/// Returns false for packets of the IMU.
+bool is_livox_point_packet(std::string_view packet_bytes);
+
+/// Joins packets to a cloud, a message of Livox's driver in the encoding of ROS 1. Omits
+/// rays without a return, whose directions the packets do not contain.
+/// @param packed_packets  for each packet: time stamp (64 bits), length (32 bits), bytes
+/// @throws DataError if the list of packets is damaged
+std::string make_livox_cloud_message(std::string_view packed_packets, std::string_view frame_id);
 
 }  // namespace relidar::packets

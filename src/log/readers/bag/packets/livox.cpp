@@ -7,7 +7,7 @@
 //       reflectivity, tag
 // The header contains the time of the first point in nanoseconds, and the duration of the
 // packet in units of 0.1 us.
-#include "log/readers/bag/packets/livox.hpp"
+#include "log/readers/bag/packets/decoder.hpp"
 
 #include <algorithm>
 #include <cmath>
@@ -50,16 +50,14 @@ glm::vec3 read_livox_position_m(bag::ByteReader& reader, int point_type) {
                                           std::cos(from_z_rad)));
 }
 
-/// Returns the second time minus the first time, limited to one hour in both directions.
+/// Limited to one hour in both directions.
 std::int64_t compute_clamped_time_between_ns(std::int64_t first_ns, std::int64_t second_ns) {
     constexpr std::int64_t kHour_ns = 3'600'000'000'000;
     const auto passed_ns = std::int64_t(std::uint64_t(second_ns) - std::uint64_t(first_ns));
     return std::clamp(passed_ns, -kHour_ns, kHour_ns);
 }
 
-/// Appends the points of a packet to a cloud.
-/// @param packet_time_offset_ns  time of the packet's first point minus the time of the
-/// cloud
+/// @param packet_time_offset_ns  time of the first point minus the time of the cloud
 /// @return number of points
 std::uint32_t append_livox_points_and_count(std::string& point_bytes, std::string_view packet,
                                             std::int64_t packet_time_offset_ns) {
@@ -118,10 +116,9 @@ std::string make_livox_cloud_message(std::string_view packed_packets, std::strin
         n_points += append_livox_points_and_count(points, packet, has_jumped ? passed_ns : passed_clock_ns);
     }
     std::string message;
-    append_binary_value(message, std::uint32_t(0));
-    append_binary_value(message, std::uint32_t(first_stamp_ns / 1'000'000'000));
-    append_binary_value(message, std::uint32_t(first_stamp_ns % 1'000'000'000));
-    append_binary_value(message, std::uint32_t(frame_id.size()));
+    for (const std::int64_t value : {std::int64_t(0), first_stamp_ns / 1'000'000'000,
+                                     first_stamp_ns % 1'000'000'000, std::int64_t(frame_id.size())})
+        append_binary_value(message, std::uint32_t(value));
     message.append(frame_id);
     append_binary_value(message, std::uint64_t(first_stamp_ns));
     append_binary_value(message, n_points);

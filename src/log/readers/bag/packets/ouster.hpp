@@ -14,48 +14,40 @@
 
 namespace relidar::packets {
 
-/// Layout of the pixels in an Ouster packet. The sensor's setting `udp_profile_lidar`
-/// selects it.
+/// Layout of the pixels in an Ouster packet, as set by `udp_profile_lidar`.
 struct OusterProfile {
     const char* name;
     /// True for legacy packets, which have no header and no footer. Their columns have a
     /// header of 16 bytes and a status of 4 bytes at the end.
     bool is_legacy;
     std::size_t pixel_bytes;
-    /// Bit mask of the range in the first 4 bytes of a pixel.
-    std::uint32_t range_bits;
+    std::uint32_t range_bits;  ///< bit mask of the range in the first 4 bytes of a pixel
     double range_unit_m;
-    /// byte offset from the range of a return to its reflectivity
-    std::size_t reflectivity_at;
-    bool is_wide;  ///< true if the reflectivity has 2 bytes, false if it has 1 byte
-    int returns;   ///< number of returns; the second return is stored directly after the first
+    std::size_t reflectivity_at;  ///< byte offset from the range of a return
+    bool is_wide;                 ///< true if the reflectivity has 2 bytes, false if it has 1 byte
+    int returns;                  ///< number of returns; the second return is stored directly after the first
 };
 
-/// Content of the metadata of one Ouster sensor.
 struct OusterMetadata {
-    std::string text;     ///< text of the metadata
-    std::string where;    ///< file or topic from which the metadata was read
+    std::string text;
+    std::string where;    ///< file or topic
     std::string product;  ///< name of the product, for example "OS-1-128"
     const OusterProfile* profile = nullptr;
     int columns_per_packet = 0;
     std::size_t packet_bytes = 0;
-    int port = 0;              ///< UDP port to which the sensor sends packets; 0 if unknown
-    std::uint64_t serial = 0;  ///< serial number of the sensor; 0 if unknown
+    int port = 0;              ///< UDP port; 0 if unknown
+    std::uint64_t serial = 0;  ///< 0 if unknown
     /// [columns per revolution] true if the sensor fires at this column (azimuth window)
     std::vector<bool> fires;
     SpinningSensor sensor;             ///< highest ring first
     std::vector<std::size_t> ring_of;  ///< [pixels of a column] ring to which each pixel belongs
 
-    /// Describes the packets, for example "packets of 12544 bytes (profile, beams,
-    /// columns a packet, port)".
     std::string describe_packets() const;
 };
 using OusterMetadataList = std::vector<std::shared_ptr<const OusterMetadata>>;
 
-/// Returns true if a text looks like the metadata of an Ouster sensor. Values are not
-/// checked, so the metadata may be invalid.
+/// Returns true if a text looks like metadata of an Ouster sensor, valid or not.
 bool is_ouster_metadata(std::string_view json_text);
-/// Parses the metadata of an Ouster sensor.
 /// @param error_location  name of the file or topic, for error messages
 /// @throws DataError if the metadata is invalid
 std::shared_ptr<const OusterMetadata> parse_ouster_metadata(const std::string& json_text,
@@ -76,13 +68,10 @@ OusterMetadataList read_ouster_metadata_in_folder_of(const std::filesystem::path
 std::shared_ptr<const OusterMetadata> find_ouster_metadata_of_packet(const OusterMetadataList& metadata_list,
                                                                      std::string_view topic_name,
                                                                      std::string_view packet);
-/// Returns true if packets of an Ouster sensor with a supported layout can have this
-/// size.
+/// Returns true if a supported layout of an Ouster can have packets of this size.
 bool is_ouster_packet_size(std::size_t n_bytes);
-/// Returns the error message for packets that cannot be decoded, although they look like
-/// Ouster packets. The message says what the user can do.
-/// @param metadata_list  metadata that was read
-/// @param recording_path  recording in whose folder the user can put more metadata
+/// Returns the error message for packets that look like Ouster packets, but cannot be
+/// decoded.
 std::string format_ouster_packet_error(const OusterMetadataList& metadata_list,
                                        const std::filesystem::path& recording_path,
                                        std::string_view topic_name, std::size_t packet_size);

@@ -11,10 +11,6 @@
 #include <array>
 #include <cmath>
 
-#include <fmt/format.h>
-
-#include <relidar/base/error.hpp>
-
 #include "base/codecs/byte_reader.hpp"
 #include "base/fail.hpp"
 #include "log/readers/bag/packets/decoder.hpp"
@@ -83,8 +79,7 @@ public:
             packet.echoes.resize(packet.echoes.size() + rings);
             read_pixels_of_column(pixels, &packet.echoes[packet.echoes.size() - rings]);
         }
-        // The time of the packet is the time of its last column, because the packet is
-        // sent after this column.
+        // The packet is sent after its last column.
         if (!times_ns.empty()) packet.clock_ns = times_ns.back();
         for (std::size_t f = 0; f < times_ns.size(); ++f)
             packet.firings[f].after_us = 1e-3 * double(times_ns[f] - packet.clock_ns);
@@ -119,10 +114,8 @@ private:
             std::abs(std::remainder(azimuth_deg - previous_firings.back().azimuth_deg -
                                         step_deg * (slot_in_packet - previous_firings.back().slot),
                                     360.0)) > 0.1 * step_deg)
-            fail(
-                "column {} at position {} of a packet does not follow the previous column, expected columns "
-                "in order",
-                column.number, slot_in_packet);
+            fail("column {} at position {} of a packet does not follow the previous column", column.number,
+                 slot_in_packet);
         return azimuth_deg;
     }
 

@@ -3,22 +3,19 @@
 // firmware user manual, "Lidar Data" and "Lidar Data Legacy". Old metadata is one flat
 // JSON object. New metadata consists of nested objects. The keys are the same in both.
 #include <algorithm>
-#include <cmath>
 #include <iterator>
 #include <numeric>
 #include <set>
 
-#include <fmt/format.h>
 #include <nlohmann/json.hpp>
 
-#include <relidar/base/error.hpp>
 #include <relidar/log/sensor_files.hpp>
 
 #include "base/fail.hpp"
 #include "base/files.hpp"
 #include "base/json_field.hpp"
 #include "log/readers/bag/packets/ouster.hpp"
-#include "log/readers/bag/unpacked_file.hpp"
+#include "log/readers/bag/part_file.hpp"
 
 namespace relidar::packets {
 namespace {
@@ -72,8 +69,7 @@ std::string read_optional_text(const Json& json, const std::string& error_locati
 
 const OusterProfile& find_ouster_profile_of_metadata(const Json& json, const std::string& error_location) {
     const std::string name = read_optional_text(json, error_location, "udp_profile_lidar", "LEGACY");
-    const auto* matching_profile =
-        std::ranges::find_if(kProfiles, [&](const OusterProfile& row) { return name == row.name; });
+    const auto* matching_profile = std::ranges::find(kProfiles, name, &OusterProfile::name);
     if (matching_profile != std::end(kProfiles)) return *matching_profile;
     std::string names;
     for (const OusterProfile& row : kProfiles) names += (names.empty() ? "" : ", ") + std::string(row.name);
@@ -82,7 +78,7 @@ const OusterProfile& find_ouster_profile_of_metadata(const Json& json, const std
 }
 
 /// Returns the ring of each pixel in a column: the rank of its beam by elevation, highest
-/// first. The pixels are stored in the order of the beams in the metadata.
+/// first.
 std::vector<std::size_t> compute_ring_of_each_pixel(const Json& json, const std::string& error_location) {
     const JsonField root(json, error_location, "");
     const std::vector<double> altitude_deg =
@@ -96,8 +92,8 @@ std::vector<std::size_t> compute_ring_of_each_pixel(const Json& json, const std:
     return ring_of;
 }
 
-/// Returns for each column whether the sensor fires at it (azimuth window). The window
-/// can cross the end of the range image and continue at column 0.
+/// Returns for each column whether the sensor fires at it. The window can continue at
+/// column 0.
 std::vector<bool> mark_columns_in_azimuth_window(const Json& json, const std::string& error_location,
                                                  int n_columns) {
     const JsonField part = find_json_object_with_key(json, error_location, "column_window");
@@ -135,8 +131,8 @@ void require_valid_layout_and_set_size(OusterMetadata& metadata, const Json& jso
              metadata.where, metadata.describe_packets(), kMostDatagram);
 }
 
-/// Returns the UDP port in the topic name of a network capture. For "192.168.1.201:7502",
-/// this is 7502. Returns 0 for a topic of a bag.
+/// Returns 7502 for "192.168.1.201:7502", the topic of a network capture. Returns 0 for a
+/// topic of a bag.
 int parse_port_of_topic(std::string_view topic_name) {
     const std::size_t colon = topic_name.rfind(':');
     const auto port = colon == std::string_view::npos || topic_name.starts_with('/')
@@ -189,10 +185,7 @@ std::shared_ptr<const OusterMetadata> parse_ouster_metadata(const std::string& j
     const SensorModel model = parse_sensor_json_text(json_text, format->product, error_location);
     const auto* spinning = std::get_if<SpinningSensor>(&model.pattern);
     if (!spinning)
-        fail(
-            "{}: found the description of a sensor that does not spin, expected the metadata of an Ouster "
-            "sensor, which spins",
-            error_location);
+        fail("{}: found a sensor that does not spin, expected the metadata of an Ouster", error_location);
     format->sensor = *spinning;
     format->profile = &find_ouster_profile_of_metadata(json, error_location);
     format->columns_per_packet =
@@ -247,9 +240,8 @@ std::shared_ptr<const OusterMetadata> find_ouster_metadata_of_packet(const Ouste
                                                                      std::string_view packet) {
     OusterMetadataList left;
     const int port = parse_port_of_topic(topic_name);
-    // If only one sensor has metadata, accepts its LEGACY packets on any UDP port. These
-    // packets have no serial number, and users may change the port after saving the
-    // metadata.
+    // If only one sensor has metadata, accepts its LEGACY packets on any UDP port,
+    // because they have no serial number and users may change the port.
     const bool is_alone = std::ranges::all_of(
         metadata_list, [&](const auto& format) { return format->text == metadata_list.front()->text; });
     for (const auto& format : metadata_list) {
@@ -286,32 +278,27 @@ std::string format_ouster_packet_error(const OusterMetadataList& metadata_list,
                                        const fs::path& recording_path, std::string_view topic_name,
                                        std::size_t packet_size) {
     const int port = parse_port_of_topic(topic_name);
-    const std::string from = port > 0 ? fmt::format(" on port {}", port)
-                                      : fmt::format(" of {}", shorten_for_error_message(topic_name));
+    const std::string found = fmt::format(
+        "found packets of {} bytes {}", packet_size,
+        port > 0 ? fmt::format("on port {}", port) : "of " + shorten_for_error_message(topic_name));
     if (metadata_list.empty())
         return fmt::format(
-            "found packets of {} bytes{}, probably from an Ouster; expected the metadata of the sensor {}{} "
-            "(from `ouster-cli source SENSOR metadata`, or from http://SENSOR/api/v1/sensor/metadata)",
-            packet_size, from, port > 0 ? "in the file " : "on a topic .../metadata, or in the file ",
+            "{}, probably from an Ouster; expected the metadata of the sensor (http://SENSOR/api/v1/sensor/"
+            "metadata) {}in the file {}",
+            found, port > 0 ? "" : "on a topic .../metadata, or ",
             fs::path(recording_path).replace_extension(".json").filename().string());
-    std::string listed_formats;
+    std::string formats;
     for (std::size_t k = 0; k < std::min(metadata_list.size(), kMaxListedFormats); ++k)
-        listed_formats += fmt::format("{}{} of {}", k == 0 ? "" : ", or ",
-                                      metadata_list[k]->describe_packets(), metadata_list[k]->where);
+        formats += fmt::format("{}{} of {}", k == 0 ? "" : ", or ", metadata_list[k]->describe_packets(),
+                               metadata_list[k]->where);
     if (metadata_list.size() > kMaxListedFormats)
-        listed_formats += fmt::format(", or of {} other files", metadata_list.size() - kMaxListedFormats);
-    if (std::ranges::any_of(metadata_list,
-                            [&](const auto& format) { return format->packet_bytes == packet_size; }))
-        return fmt::format(
-            "found packets of {} bytes{}, but the metadata describes {}; expected exactly one description of "
-            "these packets, {}",
-            packet_size, from, listed_formats,
-            port > 0 ? fmt::format("in a file with \"udp_port_lidar\": {}", port)
-                     : "on the metadata topic in the namespace of the packet topic");
-    return fmt::format(
-        "found packets of {} bytes{}, but the metadata describes {}; use the metadata of the same sensor and "
-        "configuration",
-        packet_size, from, listed_formats);
+        formats += fmt::format(", or of {} other files", metadata_list.size() - kMaxListedFormats);
+    const bool fits = std::ranges::any_of(
+        metadata_list, [&](const auto& format) { return format->packet_bytes == packet_size; });
+    return fmt::format("{}, but the metadata describes {}; expected {}", found, formats,
+                       !fits      ? "metadata of the same sensor and configuration"
+                       : port > 0 ? fmt::format("exactly one file with \"udp_port_lidar\": {}", port)
+                                  : "exactly one metadata topic in the namespace of the packet topic");
 }
 
 }  // namespace relidar::packets

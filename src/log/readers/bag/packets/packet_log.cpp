@@ -6,35 +6,27 @@
 #include <functional>
 #include <utility>
 
-#include <fmt/format.h>
 #include <fmt/ranges.h>
 
-#include <relidar/base/error.hpp>
 #include <relidar/base/math.hpp>
 
 #include "base/fail.hpp"
-#include "log/clouds/arrange_firings.hpp"
-#include "log/readers/bag/packets/fired_points.hpp"
-#include "log/sensor/beam_geometry.hpp"
 
 namespace relidar::packets {
 namespace {
 
-// maximum number of firings per revolution; even a slow revolution of two seconds has
-// fewer
-constexpr int kMostFirings = 40000;
+constexpr int kMostFirings = 40000;  // more than in a revolution of two seconds
 constexpr std::int64_t kMaxRevolution_ns = 2000000000;
 constexpr std::size_t kMostInMessage = 0xFFFF;
 constexpr double kBehind_deg = 180.0;
 constexpr double kMostBright = 65535.0;
 // A larger azimuth step between two firings means that the sensor skips a sector.
 constexpr double kJump_deg = 5.0;
-// An incomplete revolution at the start or end of the recording is skipped. The user gets
-// a note only if more than this fraction of the revolution was recorded.
+// The user gets a note about an incomplete revolution at the start or end of the
+// recording only if more than this fraction of it was recorded.
 constexpr double kCutOff = 0.02;
 
-// Returns true if the sensor fires at a column. A column beyond one end of the range
-// image continues at the other end.
+// A column beyond one end of the range image continues at the other end.
 bool is_column_enabled_with_wraparound(const std::vector<bool>& column_is_enabled, std::int64_t column) {
     const auto n = std::int64_t(column_is_enabled.size());
     return column_is_enabled[std::size_t((column % n + n) % n)];
@@ -62,17 +54,15 @@ void PacketIndex::set_or_check_lidar_model(const ReceivedPacket& packet,
     if (product_ && product_ == find_product_of_packet(packet.bytes, calibration_)) return;
     const LidarProduct* product = find_product_of_packet(packet.bytes, calibration);
     if (product_)
-        fail(
-            "found a packet of {} bytes from {}, but the previous packets are from a {}, expected packets of "
-            "one LiDAR model",
-            packet.bytes.size(), product ? product->name : "an unknown product", product_->name);
+        fail("found a packet of {} bytes from {}, expected packets of a {} like before", packet.bytes.size(),
+             product ? product->name : "an unknown product", product_->name);
     if (!product || !product->make) throw DataError(format_unsupported_packet_error(product, packet.bytes));
     decoder_ = product->make(product->name, calibration);
     product_ = product;
     calibration_ = calibration;
 }
 
-/// Returns the angle between two columns, for a sensor that fires at fixed azimuths.
+/// Only for a sensor that fires at fixed azimuths.
 double PacketIndex::compute_column_step_deg() const {
     return 360.0 / double(decoder_->get_laser_timing().fires.size());
 }
@@ -125,8 +115,7 @@ void PacketIndex::decode_and_index_packet(const ReceivedPacket& packet_view, std
     if (decoder_->get_laser_timing().is_wide) add_to_intensity_histogram(packet);
 }
 
-/// Makes the time of the sensor's clock continuous, because the clock restarts at 0 after
-/// a fixed time. The time stamps of the packets show how often it has restarted.
+/// The time stamps of the packets show how often the sensor's clock has restarted.
 void PacketIndex::unwrap_sensor_clock(Entry& entry) const {
     const double wrap_us = decoder_->get_laser_timing().wrap_us;
     if (packets_.empty() || !(wrap_us > 0.0)) return;
@@ -167,8 +156,8 @@ std::size_t PacketIndex::count_packets_sent_since_previous(std::size_t packet_in
 }
 
 /// Computes from the elapsed time how many firings were lost before this packet. Excludes
-/// the time in which the head passes azimuths where the sensor never fires. Do not use it
-/// for sensors that fire only at fixed azimuths.
+/// the time in which the head passes the skipped sector. Not for sensors that fire at
+/// fixed azimuths.
 double PacketIndex::count_lost_firings_before_packet(std::size_t packet_index) const {
     const Entry &entry = packets_[packet_index], &before = packets_[packet_index - 1];
     const double cycle_us = decoder_->get_laser_timing().cycle_us,
@@ -177,8 +166,7 @@ double PacketIndex::count_lost_firings_before_packet(std::size_t packet_index) c
     return slots - (skipped_deg > 0.0 ? skipped_deg / (deg_us_ * cycle_us) : 0.0) - before.n_slots;
 }
 
-/// Returns the number of packets that were lost before this packet. Does not count
-/// packets without a firing, because the sensor may not send them.
+/// Does not count packets without a firing, because the sensor may not send them.
 std::size_t PacketIndex::count_lost_packets_before_packet(std::size_t packet_index) const {
     const std::vector<bool>& fires = decoder_->get_laser_timing().fires;
     if (fires.empty())
@@ -221,17 +209,15 @@ void PacketIndex::count_and_store_lost_packets(PacketRevolution& revolution) con
     revolution.has_gaps = n_missing > 0.0;
 }
 
-/// Returns the range of head azimuths that were recorded, from start to end. If the
-/// sensor never fires just before the start or just after the end, the range includes
-/// these azimuths, because no packets are missing there.
+/// Returns the recorded range of head azimuths. Includes azimuths just before the start
+/// and just after the end at which the sensor never fires.
 std::pair<double, double> PacketIndex::find_recorded_azimuth_range_deg() const {
     const Entry &first = packets_.front(), &last = packets_.back();
     const std::vector<bool>& fires = decoder_->get_laser_timing().fires;
     if (fires.empty()) {
         if (!(skipped_.width_deg > 0.0)) return {first.azimuth_deg, last.azimuth_deg};
-        // The sensor never fires in the sector `skipped_`. If the recording starts just
-        // after the sector or ends just before it, the range includes the sector. "Just"
-        // means up to `slack_deg`, the rotation during one firing cycle.
+        // The range includes the sector `skipped_` if the recording starts or ends within
+        // `slack_deg`, the rotation during one firing cycle, of it.
         const double slack_deg = deg_us_ * decoder_->get_laser_timing().cycle_us;
         const double last_deg = last.azimuth_deg + double(last.turned_deg);
         const double before_deg = skipped_.compute_sector_overlap_deg(first.azimuth_deg - slack_deg,
@@ -265,8 +251,7 @@ void PacketIndex::find_complete_revolutions() {
         revolution.first = std::max(first_behind(begin), std::size_t(1)) - 1;
         revolution.last = std::min(first_behind(begin + 360.0), packets_.size()) - 1;
         p = revolution.last;
-        // If the sensor fires twice per column, with two sets of lasers, the second
-        // firing of the last column can be in the next packet.
+        // The second firing sequence of the last column can be in the next packet.
         if (decoder_->get_laser_timing().parts > 1)
             revolution.last = std::min(revolution.last + 1, packets_.size() - 1);
         // All packets of this revolution were lost. Continues at the next packet.
@@ -295,9 +280,8 @@ std::string PacketIndex::describe_problems() const {
     const double all_deg =
         packets_.back().azimuth_deg + double(packets_.back().turned_deg) - packets_.front().azimuth_deg;
     if (revolutions_.empty() && all_deg < 360.0)
-        texts.push_back(fmt::format(
-            "the packets cover only {:.0f} degrees of a revolution, expected at least one full revolution",
-            std::max(all_deg, 0.0)));
+        texts.push_back(fmt::format("the packets cover only {:.0f} degrees of a revolution, expected 360",
+                                    std::max(all_deg, 0.0)));
     else
         add(left_out_.n_cut_off, "revolutions are skipped, because the recording begins or ends during them");
     add(left_out_.n_lost, "revolutions are skipped, because at least a third of their packets is missing");
@@ -311,11 +295,9 @@ std::string PacketIndex::describe_problems() const {
     return fmt::format("{}", fmt::join(texts, "; "));
 }
 
-/// Sets `forward_ns` (when the LiDAR's head faces forward) and `log_ns` (when the packet
-/// of that moment was recorded). If the sensor fires at fixed azimuths, also sets the
-/// offset `stamp_less_clock_ns` (packet time stamp - sensor clock). `forward_ns` is then
-/// the time on the sensor's clock plus this offset. For a clock that wraps, the offset is
-/// at most half of the interval.
+/// Sets `forward_ns`, `log_ns` and `stamp_less_clock_ns`. If the sensor fires at fixed
+/// azimuths, `forward_ns` is the time on the sensor's clock plus this offset. For a clock
+/// that wraps, the offset is at most half of the interval.
 void PacketIndex::set_revolution_times(PacketRevolution& revolution) const {
     const double forward = revolution.begin_deg + 180.0;
     const auto behind =
@@ -337,8 +319,7 @@ void PacketIndex::set_revolution_times(PacketRevolution& revolution) const {
     revolution.forward_ns += before.clock_ns + revolution.stamp_less_clock_ns - before.stamp_ns;
 }
 
-/// Returns true if the sensor's clock advances from packet to packet, and if the
-/// revolution is not too long.
+/// Also returns false if the revolution is too long.
 bool PacketIndex::has_steady_sensor_clock(const PacketRevolution& revolution) const {
     const double slot_ns = 1e3 * decoder_->get_laser_timing().cycle_us;
     for (std::size_t i = revolution.first + 1; i <= revolution.last; ++i) {
@@ -348,9 +329,8 @@ bool PacketIndex::has_steady_sensor_clock(const PacketRevolution& revolution) co
     return packets_[revolution.last].clock_ns - packets_[revolution.first].clock_ns <= kMaxRevolution_ns;
 }
 
-/// Returns the index of the earliest message that contains packets of a revolution.
-/// Packets are sorted by time, and their messages can be in another order. Therefore this
-/// searches all packets of the revolution.
+/// Searches all packets of the revolution, because their messages can be in another
+/// order.
 std::uint32_t PacketIndex::find_first_message_index(const PacketRevolution& revolution) const {
     std::uint32_t first = packets_[revolution.first].message;
     for (std::size_t i = revolution.first; i <= revolution.last; ++i)
@@ -382,8 +362,7 @@ SpinningSensor PacketIndex::make_spinning_sensor_model() const {
     const FiringTiming& timing = decoder_->get_laser_timing();
     if (!timing.fires.empty())
         return decoder_->make_spinning_sensor_model(int(timing.fires.size()), 1.0 / period_s);
-    // Number of firings in the revolution with the most firings. All of them must fit
-    // into the scan.
+    // All firings of the revolution with the most firings must fit into the scan.
     double most = 1e6 * period_s / timing.cycle_us;
     for (const PacketRevolution& revolution : revolutions_)
         most = std::max(most, 360.0 / compute_mean_firing_step_deg(revolution));
@@ -392,7 +371,7 @@ SpinningSensor PacketIndex::make_spinning_sensor_model() const {
                                                 1.0 / period_s);
 }
 
-/// Returns the maximum intensity of all returns. 255 means intensity 1.
+/// 255 means intensity 1.
 double PacketIndex::find_max_raw_intensity() const {
     std::size_t most = n_bright_.size();
     while (most > 0 && n_bright_[most - 1] == 0) --most;
@@ -416,128 +395,6 @@ std::string PacketIndex::describe_lidar_product() const {
     return fmt::format("{}, reflectivities up to {:.4g} are divided by {:.4g}, their 99.5th percentile",
                        decoder_->describe_lidar_product(), find_max_raw_intensity(),
                        255.0 * compute_full_scale_intensity());
-}
-
-/// Decodes a packet for the second time, to build the scan. The first time was when the
-/// index was built.
-/// @param message_index  index in `packets_of_message` of the message that contains the
-/// packet
-DecodedPacket PacketIndex::decode_packet_of_entry(
-    std::size_t message_index, const Entry& packet_entry,
-    const std::vector<std::vector<ReceivedPacket>>& packets_of_message) const {
-    const std::size_t m = message_index;
-    if (m >= packets_of_message.size() || packet_entry.in_message >= packets_of_message[m].size())
-        throw DataError(
-            "the file of the recording changed while it was read: a message has fewer packets than before");
-    const ReceivedPacket& view = packets_of_message[m][packet_entry.in_message];
-    if (find_product_of_packet(view.bytes, calibration_) != product_)
-        throw DataError(
-            "the file of the recording changed while it was read: a packet differs from the one that was "
-            "read before");
-    return decoder_->decode_packet(view.bytes);
-}
-
-/// Converts an azimuth to a column of a revolution. The result is an invalid column if
-/// the azimuth is outside the revolution.
-int PacketIndex::compute_column_of_azimuth(const PacketRevolution& revolution, double azimuth_deg) const {
-    const double n = double(decoder_->get_laser_timing().fires.size());
-    return int(std::clamp(std::round((azimuth_deg - revolution.begin_deg) / compute_column_step_deg()), -n,
-                          2.0 * n));
-}
-
-/// Returns for each column of a revolution whether its packet was lost. Returns an empty
-/// list if the sensor can fire at any azimuth.
-std::vector<bool> PacketIndex::find_lost_columns(const PacketRevolution& revolution) const {
-    const std::vector<bool>& fires = decoder_->get_laser_timing().fires;
-    std::vector<bool> is_lost(fires.size(), false);
-    const std::size_t end_packet = std::min(revolution.last + 2, packets_.size());
-    for (std::size_t i = revolution.first + 1; i < end_packet && !fires.empty(); ++i) {
-        if (count_lost_packets_before_packet(i) == 0) continue;
-        const Entry &entry = packets_[i], &before = packets_[i - 1];
-        const int begin =
-            compute_column_of_azimuth(revolution, before.azimuth_deg) - before.first_slot + n_slots_;
-        const int end = std::min(compute_column_of_azimuth(revolution, entry.azimuth_deg) - entry.first_slot,
-                                 int(fires.size()));
-        for (int c = std::max(begin, 0); c < end; ++c) is_lost[std::size_t(c)] = fires[std::size_t(c)];
-    }
-    return is_lost;
-}
-
-Scan PacketIndex::decode_revolution(const PacketRevolution& revolution,
-                                    const std::vector<std::vector<ReceivedPacket>>& packets_of_message,
-                                    const SpinningSensor& sensor, std::int64_t time_origin_ns) const {
-    RevolutionPoints fired;
-    const std::vector<BeamRayGenerator> beams = make_beam_ray_generators(sensor.beams);
-    const FiringTiming& timing = decoder_->get_laser_timing();
-    const double mean_deg_us = 360e-6 / sensor.period_s, brightness = compute_full_scale_intensity();
-    const int n_columns = int(timing.fires.size());
-    const std::uint32_t first_message = find_first_message_index(revolution);
-    // number of firings of the revolution before this packet, including firings in lost
-    // packets
-    std::size_t before = 0;
-    int previous_number = -1;
-    bool is_inside = false;
-    for (std::size_t p = revolution.first; p <= revolution.last; ++p) {
-        const Entry& entry = packets_[p];
-        if (p > revolution.first && n_columns == 0)
-            before += std::size_t(packets_[p - 1].n_slots) +
-                      count_lost_packets_before_packet(p) * std::size_t(n_slots_);
-        DecodedPacket packet =
-            decode_packet_of_entry(entry.message - first_message, entry, packets_of_message);
-        const std::size_t begin = entry.first_firing, end = begin + entry.n_firings;
-        if (packet.firings.size() < end) continue;
-        const std::int64_t begin_ns =
-            timing.fires.empty() ? entry.stamp_ns : entry.clock_ns + revolution.stamp_less_clock_ns;
-        const double begin_s = 1e-9 * double(begin_ns - time_origin_ns),
-                     first_us = packet.firings[begin].after_us;
-        double azimuth = entry.azimuth_deg, step = 0.0;
-        for (std::size_t f = begin; f < end; ++f) {
-            const LaserFiring& firing = packet.firings[f];
-            azimuth += f > begin ? step : 0.0;
-            if (f + 1 < end)
-                step = compute_rotation_deg(firing.azimuth_deg, packet.firings[f + 1].azimuth_deg);
-            // time from the first firing of a column to this firing, if the sensor fires
-            // several times per column
-            const double late_us = timing.cycle_us * double(firing.part);
-            const double start_deg = azimuth - late_us * mean_deg_us;
-            const int slot = int(before) + firing.slot - entry.first_slot;
-            const int number = n_columns > 0 ? compute_column_of_azimuth(revolution, azimuth)
-                                             : (slot - firing.part + timing.parts) / timing.parts;
-            // Tests only the first firing of a column, because all its firings belong to
-            // the same revolution. `number` is the number of the column.
-            if (number != previous_number)
-                is_inside = n_columns > 0 ? number >= 0 && number < n_columns
-                                          : start_deg >= revolution.begin_deg &&
-                                                start_deg < revolution.begin_deg + 360.0;
-            previous_number = number;
-            if (!is_inside) continue;
-            const double time_s = begin_s + 1e-6 * (firing.after_us - first_us - late_us);
-            const double ahead_deg_us = timing.interpolates ? step / timing.cycle_us - mean_deg_us : 0.0;
-            std::array<DecodedReturn, 2>* echoes = &packet.echoes[f * sensor.beams.size()];
-            add_points_of_firing(fired, {start_deg, time_s, number, ahead_deg_us, brightness}, echoes, beams,
-                                 timing.offset_us);
-        }
-    }
-    return make_scan_of_revolution(revolution, fired, sensor);
-}
-
-Scan PacketIndex::make_scan_of_revolution(const PacketRevolution& revolution,
-                                          RevolutionPoints& revolution_points,
-                                          const SpinningSensor& sensor) const {
-    if (revolution_points.points.size() == 0)
-        return make_scan_with_one_ray_per_point(revolution_points.points);
-    if (!decoder_->get_laser_timing().fires.empty())
-        return make_scan_of_fixed_azimuth_sensor(revolution_points, decoder_->get_laser_timing().fires,
-                                                 find_lost_columns(revolution), sensor);
-    const SweepFirings sweep = sort_firings_by_azimuth_and_assign_points(
-        revolution_points.points, revolution_points.numbers, revolution_points.head_rad);
-    // `scan_sensor` is a copy of the sensor with the number of columns of this scan. The
-    // sensor never fires in the sector `skipped_`, so a revolution has no columns there.
-    // If packets were lost, the scan has only the received columns.
-    SpinningSensor scan_sensor = sensor;
-    scan_sensor.columns = int(std::ceil(double(sensor.columns) * (1.0 - skipped_.width_deg / 360.0)));
-    if (revolution.has_gaps) scan_sensor.columns = int(sweep.firings.size());
-    return assign_points_to_rays_of_spinning_scan(revolution_points.points, scan_sensor, sweep);
 }
 
 }  // namespace relidar::packets

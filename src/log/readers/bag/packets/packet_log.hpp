@@ -13,9 +13,64 @@
 
 #include "log/readers/bag/bag_file.hpp"
 #include "log/readers/bag/packets/decoder.hpp"
-#include "log/readers/bag/packets/packet_order.hpp"
 
 namespace relidar::packets {
+
+// Functions of packet_order.cpp. They sort the packets of a LiDAR in the order of
+// sending, because a network may deliver packets late or twice.
+
+/// A packet in the index of a recording. If the sensor skips a sector within a packet,
+/// the packet has two entries, one for each side of the sector.
+struct PacketIndexEntry {
+    /// Time of the first firing: `stamp_ns` by the receiver's clock, `clock_ns` by the
+    /// sensor's clock. If the sensor's clock restarts at 0, `clock_ns` continues without
+    /// a jump.
+    std::int64_t stamp_ns, clock_ns;
+    double azimuth_deg;  ///< azimuth of the first firing in degrees, without jumps at 360 degrees
+    float turned_deg;    ///< rotation of the head from the first to the last firing
+    /// The packet's time stamp refers to its first or last firing. If a sector without
+    /// firings is between that firing and this entry, this is the sector's width in
+    /// degrees. It is positive if the sector precedes this entry, negative if it follows.
+    /// Otherwise 0.
+    float skipped_deg;
+    std::uint32_t message;
+    std::uint16_t in_message;  ///< index in the message
+    std::uint16_t first_firing, n_firings;
+    std::int16_t first_slot;  ///< slot of the first firing
+    std::int16_t n_slots;     ///< number of slots
+    std::uint32_t hash;       ///< hash of the packet's bytes
+    /// number of packets without a firing that directly precede this packet
+    std::uint16_t n_empty_before = 0;
+};
+
+/// Returns the angle by which the head turns from one azimuth to the next, below 360
+/// degrees. Negative if encoder noise makes the next azimuth slightly smaller.
+double compute_rotation_deg(double from_azimuth_deg, double to_azimuth_deg);
+
+struct PacketFaultCounts {
+    std::size_t n_repeated = 0, n_late = 0;
+};
+/// Sorts packets by the sensor's clock and removes repeated packets. Does not move a
+/// packet whose time is much earlier, because its clock was set back.
+PacketFaultCounts sort_and_deduplicate_packets(std::vector<PacketIndexEntry>& packets);
+
+/// Makes the azimuths continuous, without jumps at 360 degrees. Also adds the pause to
+/// the times of packets during which the head passes a sector without firings.
+/// @return mean rotation rate in degrees per microsecond
+double unwrap_azimuths_and_estimate_rate(std::vector<PacketIndexEntry>& packets, const FiringTiming& timing);
+
+struct SkippedSector {
+    double begin_deg = 0.0, width_deg = 0.0;  ///< width 0: no such sector
+
+    /// Returns how many degrees between two azimuths, which count over all revolutions,
+    /// are in this sector.
+    double compute_sector_overlap_deg(double from_deg, double to_deg) const;
+};
+/// Finds the azimuth sector in which the sensor never fires. The sector must occur in at
+/// least two revolutions, because a gap in one revolution can be packet loss.
+/// @param firing_step_deg  azimuth step between two firings
+SkippedSector find_sector_without_firings(const std::vector<PacketIndexEntry>& packets,
+                                          double firing_step_deg);
 
 struct RevolutionPoints;
 
@@ -36,28 +91,24 @@ struct PacketRevolution {
     std::int64_t stamp_less_clock_ns = 0;
 };
 
-/// Index of the LiDAR packets of a topic. It stores time, head angle and message of each
-/// packet.
+/// Index of the LiDAR packets of a topic: time, head angle and message of each packet.
 class PacketIndex {
 public:
-    /// Adds the packets of one message to the index.
-    /// @param calibration  calibration of the sensor, as far as it is known
-    /// @throws DataError with the name of the product, if its packets cannot be decoded
-    /// or if earlier packets came from another product
+    /// Adds the packets of one message.
+    /// @throws DataError if packets of the product cannot be decoded, or if earlier
+    /// packets came from another product
     void add_packets_of_message(const std::vector<ReceivedPacket>& packets, std::int64_t recording_time_ns,
                                 const bag::MessagePosition& message_position,
                                 const DecoderCalibration& calibration);
-    /// Sorts the packets and finds the complete revolutions. Call it once, after the last
-    /// add_packets_of_message().
+    /// Call it once, after the last add_packets_of_message().
     void sort_packets_and_find_revolutions();
     bool empty() const { return packets_.empty(); }
     std::size_t size() const { return n_packets_; }
-    /// Returns the complete revolutions.
     const std::vector<PacketRevolution>& get_revolutions() const { return revolutions_; }
     /// Returns true if the sensor's clock restarts after a fixed time, such as an hour.
     bool has_wrapping_clock() const { return decoder_ && decoder_->get_laser_timing().wrap_us > 0.0; }
-    /// Describes problems for the user: late and repeated packets, and why revolutions
-    /// were skipped. Returns an empty string if there are no problems.
+    /// Describes late and repeated packets, and why revolutions were skipped. May be
+    /// empty.
     std::string describe_problems() const;
     /// Position of a message in the recording, and time of recording.
     struct PacketMessageSource {
@@ -68,8 +119,7 @@ public:
     /// Returns the sensor model with the measured rotation rate.
     SpinningSensor make_spinning_sensor_model() const;
     std::string describe_lidar_product() const;
-    /// Decodes the packets of a revolution to a scan, with ray times relative to
-    /// `time_origin_ns`.
+    /// Decodes a revolution to a scan with ray times relative to `time_origin_ns`.
     /// @param packets_of_message  packets of each message that
     /// find_messages_of_revolution() returns
     Scan decode_revolution(const PacketRevolution& revolution,
@@ -89,8 +139,7 @@ private:
     DecoderCalibration calibration_;
     int n_slots_ = 1;            ///< slots per packet
     std::size_t n_packets_ = 0;  ///< number of packets without repeats
-    /// number of packets without a firing since the last packet with firings
-    std::uint16_t n_empty_ = 0;
+    std::uint16_t n_empty_ = 0;  ///< packets without a firing since the last one with firings
     std::vector<Entry> packets_;
     std::vector<PacketMessageSource> messages_;
     std::vector<PacketRevolution> revolutions_;
@@ -99,8 +148,8 @@ private:
     double deg_us_ = 0.0;  ///< mean rotation rate in degrees per microsecond
     /// sector in which the sensor never fires, although it could fire at any azimuth
     SkippedSector skipped_;
-    /// Number of returns by intensity. An intensity of 1 is counted in element 255. Used
-    /// only for sensors whose intensities can exceed 1, otherwise empty.
+    /// Number of returns by intensity in units of 1/255. Used only for sensors whose
+    /// intensities can exceed 1.
     std::vector<std::uint32_t> n_bright_;
 
     void set_or_check_lidar_model(const ReceivedPacket& packet, const DecoderCalibration& calibration);

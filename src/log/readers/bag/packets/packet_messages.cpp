@@ -4,13 +4,8 @@
 #include <algorithm>
 #include <iterator>
 
-#include <fmt/format.h>
-
-#include <relidar/base/error.hpp>
-
 #include "base/codecs/byte_reader.hpp"
 #include "base/fail.hpp"
-#include "log/readers/bag/message_reader.hpp"
 
 namespace relidar::packets {
 namespace {
@@ -45,8 +40,7 @@ constexpr std::string_view kImuTopic = "imu_packets", kMetadataTopic = "/metadat
 constexpr std::size_t kImuBytes = 48;
 
 const PacketMessageType* find_packet_message_type(std::string_view type_name) {
-    const auto* matching_type =
-        std::ranges::find_if(kTypes, [&](const PacketMessageType& row) { return type_name == row.type; });
+    const auto* matching_type = std::ranges::find(kTypes, type_name, &PacketMessageType::type);
     return matching_type == std::end(kTypes) ? nullptr : matching_type;
 }
 

@@ -17,22 +17,16 @@ namespace relidar::packets {
 /// and its bytes. Messages of type kOtherDatagrams contain other UDP data.
 inline constexpr const char *kDatagrams = "LiDAR packets", *kOtherDatagrams = "other UDP";
 
-/// Returns true if the messages of a topic contain LiDAR packets. Checks only the message
-/// type. The type does not always name the LiDAR product, which is recognised later by
-/// the size and header of the packets.
+/// Returns true if the message type of a topic contains LiDAR packets of any product.
 bool has_lidar_packets(const bag::BagTopic& topic);
-/// Returns true for a packet topic of Ouster's ROS drivers. Each message is one packet
-/// and nothing else.
+/// Returns true for a topic of Ouster's ROS drivers, whose messages are single packets.
 bool is_ouster_driver_packet_topic(const bag::BagTopic& topic);
 /// Returns true if a topic contains text and is in the namespace of a topic with packets.
 /// The text can be Ouster metadata.
 bool can_contain_ouster_metadata(const bag::BagTopic& topic);
 /// Returns the text of a std_msgs/String message.
-/// @throws DataError if the message is too short
 std::string read_text_message(const bag::BagTopic& topic, std::string_view message_bytes);
-/// Returns the packets in a message.
-/// @param recording_time_ns  recording time of the message, used for packets without a
-/// time stamp
+/// @param recording_time_ns  used for packets without a time stamp
 /// @param header  output: header of the message. A message without a header gets the
 /// topic's name as its frame.
 /// @throws DataError if the message is too short

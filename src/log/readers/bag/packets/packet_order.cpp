@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "log/readers/bag/packets/packet_order.hpp"
+#include "log/readers/bag/packets/packet_log.hpp"
 
 #include <algorithm>
 #include <array>
@@ -48,8 +48,7 @@ PacketFaultCounts sort_and_deduplicate_packets(std::vector<PacketIndexEntry>& pa
         while (at > 0 && is_later(at - 1) && packets[at - 1].clock_ns - entry.clock_ns <= kLatest_ns) --at;
         if (at > 0 && is_later(at - 1)) at = n;
         bool is_repeated = false;
-        // Maximum number of packets with the same time that are compared. Many packets
-        // have the same time if the sensor's clock stands still.
+        // Many packets have the same time if the sensor's clock stands still.
         constexpr std::size_t kMostCompared = 64;
         for (std::size_t k = at, n_compared = 0;
              k > 0 && !is_repeated && n_compared < kMostCompared && packets[k - 1].clock_ns == entry.clock_ns;
@@ -59,10 +58,9 @@ PacketFaultCounts sort_and_deduplicate_packets(std::vector<PacketIndexEntry>& pa
         faults.n_repeated += is_repeated && counts;
         if (is_repeated) continue;
         if (at < n) {
-            // This packet was received late, so its receive time (stamp_ns) is wrong.
-            // Replaces it with clock_ns (sensor time) + offset. The offset is stamp_ns -
-            // clock_ns of a neighbouring packet. Raises the stamps of later packets to at
-            // least clock_ns + offset, so that none is earlier.
+            // The receive time of a late packet is wrong. Replaces it with clock_ns +
+            // offset, where the offset is stamp_ns - clock_ns of a neighbour. Raises the
+            // stamps of later packets to at least clock_ns + offset.
             const PacketIndexEntry& beside = packets[at > 0 ? at - 1 : at];
             const std::int64_t stamp_less_clock_ns = beside.stamp_ns - beside.clock_ns;
             entry.stamp_ns = entry.clock_ns + stamp_less_clock_ns;
@@ -106,10 +104,9 @@ double unwrap_azimuths_and_estimate_rate(std::vector<PacketIndexEntry>& packets,
     for (std::size_t p = 0; p < packets.size() && deg_us > 0.0; ++p) {
         PacketIndexEntry& entry = packets[p];
         if (entry.skipped_deg == 0.0f) continue;
-        // While this packet was measured, the head passed a sector without firings. The
-        // time of `entry` ignores this pause. So it is computed from a neighbour on the
-        // same side of the sector: the next entry if the sector precedes `entry`,
-        // otherwise the previous.
+        // The head passed a sector without firings during this packet. Computes the time
+        // from a neighbour on the same side of the sector: the next entry if the sector
+        // precedes `entry`, otherwise the previous.
         const std::size_t beside = entry.skipped_deg > 0.0f ? p + 1 : p - 1;
         std::int64_t skipped_ns = std::llround(1e3 * skipped_us(entry));
         if (beside < packets.size())
@@ -122,8 +119,7 @@ double unwrap_azimuths_and_estimate_rate(std::vector<PacketIndexEntry>& packets,
 }
 
 double SkippedSector::compute_sector_overlap_deg(double from_deg, double to_deg) const {
-    // Returns how many degrees of the sector without firings the head passes on its way
-    // from begin_deg (start of the sector) to an azimuth. Each full turn adds width_deg.
+    // degrees of the sector on the way from its start to an azimuth
     const auto until = [&](double azimuth_deg) {
         const double turns = std::floor((azimuth_deg - begin_deg) / 360.0);
         return turns * width_deg + std::min(azimuth_deg - begin_deg - 360.0 * turns, width_deg);

@@ -8,7 +8,6 @@
 
 #include "base/median.hpp"
 #include "log/readers/bag/packets/decoder.hpp"
-#include "log/readers/bag/packets/livox.hpp"
 #include "log/readers/bag/packets/ouster.hpp"
 
 namespace relidar::packets {
@@ -28,39 +27,33 @@ template <int product>
 bool is_packet_of_velodyne_model(string_view packet) {
     return is_velodyne_packet(packet) && has_byte_at(packet, kProductAt, product);
 }
-/// Returns true if a packet has the header of newer Hesai sensors: the bytes EE FF and
-/// the protocol version (`major`, `minor`).
+/// Header of newer Hesai sensors: the bytes EE FF and the protocol version.
 template <int major, int minor>
 bool is_hesai_packet_of_version(string_view packet) {
     return packet.size() > 500 && packet.starts_with("\xee\xff") && has_byte_at(packet, 2, major) &&
            has_byte_at(packet, 3, minor);
 }
-/// Returns true for packets of a Hesai sensor with this protocol version, number of
-/// lasers and number of blocks.
 /// @tparam bytes  packet size without the optional fields at the end
-/// @tparam optional  size of the optional fields
 template <int major, int minor, int lasers, int blocks, std::size_t bytes, std::size_t optional>
 bool is_packet_of_hesai_model(string_view packet) {
     return is_hesai_packet_of_version<major, minor>(packet) && has_byte_at(packet, kLasersAt, lasers) &&
            has_byte_at(packet, kBlocksAt, blocks) &&
            (packet.size() == bytes || packet.size() == bytes + optional);
 }
-/// Returns true for packets of RoboSense's first spinning sensors. Byte 31 contains the
-/// number of the model; in older packets, byte 30.
+/// RoboSense's first spinning sensors. Byte 31, in older packets byte 30, is the model.
 template <int model>
 bool is_packet_of_robosense_model(string_view packet) {
     return packet.size() == 1248 && packet.starts_with("\x55\xaa\x05\x0a\x5a\xa5\x50\xa0") &&
            has_byte_at(packet, has_byte_at(packet, 31, 0) ? 30 : 31, model);
 }
 constexpr auto is_rs16 = is_packet_of_robosense_model<1>;
-/// Returns true if a packet is from a RoboSense Ruby, Helios or Airy. The first two
-/// blocks of their packets begin with the byte `flag`.
+/// RoboSense Ruby, Helios or Airy: the first two blocks begin with the byte `flag`.
 template <int flag, std::size_t first_block_at, std::size_t second_block_at>
 bool is_robosense_packet_with_block_flag(string_view packet) {
     return packet.starts_with("\x55\xaa\x05\x5a") && has_byte_at(packet, first_block_at, flag) &&
            has_byte_at(packet, second_block_at, flag);
 }
-/// Returns true for packets of RoboSense's sensors that do not spin.
+/// RoboSense's sensors that do not spin.
 template <std::size_t bytes>
 bool is_solid_state_robosense_packet(string_view packet) {
     return packet.size() == bytes && packet.starts_with("\x55\xaa\x5a\xa5");
@@ -119,7 +112,7 @@ constexpr LidarProduct kProducts[] = {
     {"Livox", is_livox_point_packet, nullptr, "livox_ros_driver2"},
 };
 
-/// Returns the time in an RS-LiDAR-16 packet, in microseconds within the current second.
+/// Returns the time in microseconds within the current second.
 double read_rs16_clock_us(string_view packet) {
     const auto byte = [&](std::size_t at) { return double(static_cast<unsigned char>(packet[at])); };
     return 1e3 * (256.0 * byte(26) + byte(27)) + 256.0 * byte(28) + byte(29);
@@ -144,12 +137,11 @@ std::string format_unsupported_packet_error(const LidarProduct* product, string_
     const auto* begin = reinterpret_cast<const unsigned char*>(packet_bytes.data());
     const std::vector<unsigned> first(begin, begin + std::min(packet_bytes.size(), std::size_t(4)));
     if (!product)
-        return fmt::format(
-            "found unknown packets of {} bytes, expected packets of {}, or of an Ouster with its metadata",
-            packet_bytes.size(), supported_products);
+        return fmt::format("found unknown packets of {} bytes, expected {}, or an Ouster with its metadata",
+                           packet_bytes.size(), supported_products);
     return fmt::format(
-        "found packets of a {} ({} bytes that begin with {:02X}), which relidar cannot decode, expected "
-        "packets of {}, or point clouds; convert the packets to point clouds with {} and record these",
+        "found packets of a {} ({} bytes that begin with {:02X}), expected {}; convert the packets to point "
+        "clouds with {} and record these",
         product->name, packet_bytes.size(), fmt::join(first, " "), supported_products, product->driver);
 }
 

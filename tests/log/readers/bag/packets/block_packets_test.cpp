@@ -9,7 +9,6 @@
 #include <optional>
 #include <sstream>
 #include <string>
-#include <string_view>
 #include <vector>
 
 #include <gtest/gtest.h>
@@ -31,13 +30,6 @@ using packets::DecoderCalibration;
 constexpr double kStill_hz = 1e-9;
 constexpr double kDegree = kPi / 180.0;
 
-std::string make_packet_of_hex(std::string_view text) {
-    std::string bytes;
-    for (std::size_t k = 0; k + 1 < text.size(); k += 2)
-        bytes += char(std::stoi(std::string(text.substr(k, 2)), nullptr, 16));
-    return bytes;
-}
-
 struct Recorded {
     std::vector<std::string> packets;
     std::vector<glm::dvec3> points_m;  ///< points that nebula decodes
@@ -51,7 +43,11 @@ Recorded read_recorded(const std::string& name) {
         std::string kind, hex;
         glm::dvec3 point_m;
         words >> kind;
-        if (kind == "packet" && words >> hex) recorded.packets.push_back(make_packet_of_hex(hex));
+        if (kind == "packet" && words >> hex) {
+            std::string& bytes = recorded.packets.emplace_back();
+            for (std::size_t k = 0; k + 1 < hex.size(); k += 2)
+                bytes += char(std::stoi(hex.substr(k, 2), nullptr, 16));
+        }
         if (kind == "point" && words >> point_m.x >> point_m.y >> point_m.z)
             recorded.points_m.push_back(point_m);
     }
@@ -134,7 +130,7 @@ TEST(BlockPackets, GiveThePointsOfNebula) {
         // nebula rotates the head for the last 32 lasers of a VLS-128, by up to 17/20 of
         // an azimuth step of 0.2 degrees
         expect_all(recorded.points_m, decode_points(*decoder, recorded.packets),
-                   std::string_view(test.file) == "vls128" ? 0.2 : 0.0);
+                   std::string(test.file) == "vls128" ? 0.2 : 0.0);
     }
 }
 
@@ -206,11 +202,10 @@ TEST(BlockPackets, AngleFilesHaveEachLaser) {
     ASSERT_EQ(angles.lasers.size(), 2u);
     EXPECT_EQ(angles.lasers[1].elevation_deg, -1.5);
     EXPECT_EQ(angles.lasers[1].azimuth_deg, -3.0);
-    EXPECT_THROW(packets::parse_angle_correction("Channel,Elevation,Azimuth\n1,2,0\n3,1,0\n", "a.csv"),
-                 DataError);
-    EXPECT_THROW(packets::parse_angle_correction("Channel,Elevation,Azimuth\n1,95,0\n", "a.csv"), DataError);
-    EXPECT_THROW(packets::parse_angle_correction("Channel,Elevation,Azimuth\n1,2,north\n", "a.csv"),
-                 DataError);
+    for (const char* lines : {"1,2,0\n3,1,0\n", "1,95,0\n", "1,2,north\n"})
+        EXPECT_THROW(
+            packets::parse_angle_correction("Channel,Elevation,Azimuth\n" + std::string(lines), "a.csv"),
+            DataError);
 }
 
 TEST(BlockPackets, AngleFilesNextToABag) {

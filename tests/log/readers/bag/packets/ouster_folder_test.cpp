@@ -7,69 +7,25 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstdlib>
 #include <filesystem>
 
 #include <fmt/format.h>
 #include <gtest/gtest.h>
 
-#include <relidar/base/arrays.hpp>
 #include <relidar/base/files.hpp>
 
+#include "log/readers/bag/packets/ouster_packets.hpp"
 #include "log/readers/kitti/kitti_drive.hpp"
 
 namespace relidar {
 namespace {
 
 namespace fs = std::filesystem;
-
-fs::path get_shared_data() {
-    const char* shared = std::getenv("RELIDAR_SHARED");
-    return (shared ? fs::path(shared) : fs::path(RELIDAR_SOURCE_DIR).parent_path() / "shared") /
-           "data/ouster";
-}
-
-/// Range images as measured by the sensor. Column m of W columns has the encoder angle 2
-/// pi (1 - m / W).
-struct OusterScans {
-    std::size_t frames, rows, columns;
-    std::vector<double> range_m, time_s, altitude_deg, azimuth_deg;
-    double n_m;
-
-    explicit OusterScans(const fs::path& file) {
-        const std::vector<NamedArray> arrays = read_npz(file);
-        const auto array = [&](const char* name) -> const NamedArray& {
-            return *std::find_if(arrays.begin(), arrays.end(),
-                                 [&](const NamedArray& a) { return a.name == name; });
-        };
-        frames = array("range_mm").shape[0];
-        rows = array("range_mm").shape[1];
-        columns = array("range_mm").shape[2];
-        range_m = array("range_mm").convert_to_doubles();
-        time_s = array("ts").convert_to_doubles();
-        for (double& r : range_m) r *= 1e-3;
-        for (double& t : time_s) t = (t - array("ts").convert_to_doubles()[0]) * 1e-9;
-        altitude_deg = array("alt").convert_to_doubles();
-        azimuth_deg = array("az").convert_to_doubles();
-        n_m = array("n_mm").convert_to_doubles()[0] * 1e-3;
-    }
-    double range(std::size_t frame, std::size_t row, std::size_t column) const {
-        return range_m[(frame * rows + row) * columns + column];
-    }
-
-    glm::dvec3 point(std::size_t frame, std::size_t row, std::size_t column) const {
-        const double encoder = 2.0 * kPi * (1.0 - double(column) / double(columns)),
-                     theta = encoder - azimuth_deg[row] * kPi / 180.0;
-        const double phi = altitude_deg[row] * kPi / 180.0, r = range(frame, row, column);
-        return {(r - n_m) * std::cos(theta) * std::cos(phi) + n_m * std::cos(encoder),
-                (r - n_m) * std::sin(theta) * std::cos(phi) + n_m * std::sin(encoder),
-                (r - n_m) * std::sin(phi)};
-    }
-};
+using test::OusterImages;
 
 /// Writes points without rings and times, so that the reader must estimate both. Without
 /// `with_beams`, the reader must also estimate the beams.
-fs::path write_folder(const OusterScans& scans, const std::string& name, bool with_beams) {
+fs::path write_folder(const OusterImages& scans, const std::string& name, bool with_beams) {
     const fs::path folder = fs::path(testing::TempDir()) / "relidar_ouster" / name;
     fs::remove_all(folder);
     fs::create_directories(folder / "scans");
@@ -77,13 +33,14 @@ fs::path write_folder(const OusterScans& scans, const std::string& name, bool wi
     for (std::size_t b = 0; b < scans.rows; ++b)
         beams +=
             fmt::format("{}{{\"elevation_deg\": {}, \"azimuth_offset_deg\": {}, \"origin_offset_m\": {}}}",
-                        b ? ", " : "", scans.altitude_deg[b], -scans.azimuth_deg[b], scans.n_m);
+                        b ? ", " : "", scans.altitude_deg[b], -scans.azimuth_deg[b], 1e-3 * scans.n_mm);
     for (std::size_t f = 0; f < scans.frames; ++f) {
         std::string bytes;
         for (std::size_t row = 0; row < scans.rows; ++row)
             for (std::size_t column = 0; column < scans.columns; ++column) {
-                if (scans.range(f, row, column) == 0.0) continue;
-                const glm::vec3 p(scans.point(f, row, column));
+                const std::uint32_t mm = scans.range_mm[scans.at(f, row, column)];
+                if (mm == 0) continue;
+                const glm::vec3 p(scans.compute_point(row, column, mm));
                 for (const float v : {p.x, p.y, p.z, 0.5f})
                     bytes.append(reinterpret_cast<const char*>(&v), 4);
             }
@@ -107,14 +64,15 @@ fs::path write_folder(const OusterScans& scans, const std::string& name, bool wi
 struct Found {
     std::size_t right = 0, all = 0;
 };
-Found compare(const OusterScans& scans, std::size_t f, const Scan& actual_scan, const SpinningSensor& sensor,
+Found compare(const OusterImages& scans, std::size_t f, const Scan& actual_scan, const SpinningSensor& sensor,
               std::size_t first) {
     Found counts;
     for (std::size_t row = 0; row < scans.rows; ++row) {
         const int shift = compute_beam_azimuth_offset_columns(sensor.beams[row], sensor.columns);
         for (std::size_t column = 0; column < scans.columns; ++column) {
-            const double range_m = scans.range(f, row, column);
-            if (range_m == 0.0) continue;
+            const std::uint32_t mm = scans.range_mm[scans.at(f, row, column)];
+            if (mm == 0) continue;
+            const double range_m = 1e-3 * mm;
             ++counts.all;
             // A sweep starts in the backward direction, which is at half of the columns
             // of an image.
@@ -124,10 +82,11 @@ Found compare(const OusterScans& scans, std::size_t f, const Scan& actual_scan, 
                 (firing + scans.columns - std::size_t(shift + sensor.columns)) % scans.columns;
             const double off_m =
                 glm::distance(glm::dvec3(actual_scan.compute_return_point_in_sensor_frame(at)),
-                              scans.point(f, row, column));
-            counts.right += actual_scan.rays.channel[at] == row &&
-                            std::abs(double(actual_scan.range_m[at]) - (range_m - scans.n_m)) < 1e-3 &&
-                            off_m < 1e-3;
+                              scans.compute_point(row, column, mm));
+            counts.right +=
+                actual_scan.rays.channel[at] == row &&
+                std::abs(double(actual_scan.range_m[at]) - (range_m - 1e-3 * scans.n_mm)) < 1e-3 &&
+                off_m < 1e-3;
         }
     }
     return counts;
@@ -135,9 +94,9 @@ Found compare(const OusterScans& scans, std::size_t f, const Scan& actual_scan, 
 
 TEST(OusterFolder, EveryReturnFindsItsBeamAndColumn) {
     for (const char* name : {"OS-1-128_v2.3.0_1024x10_lb_n3", "OS-2-128-U1_v2.3.0_1024x10"}) {
-        const fs::path file = get_shared_data() / (std::string(name) + ".npz");
-        if (!fs::exists(file)) GTEST_SKIP() << file << " is not there; RELIDAR_SHARED names another folder";
-        const OusterScans scans(file);
+        const auto images = test::load_real_images(std::string(name) + ".npz", "", test::kSingle);
+        if (!images) GTEST_SKIP() << name << " is not there; RELIDAR_SHARED names another folder";
+        const OusterImages& scans = *images;
         DatasetOptions options;
         options.max_range_m = 400.0;
         const LidarSequence log = load_sequence(write_folder(scans, name, true).string(), options);
@@ -158,9 +117,9 @@ TEST(OusterFolder, EveryReturnFindsItsBeamAndColumn) {
 }
 
 TEST(OusterFolder, BeamsAreFoundInThePoints) {
-    const fs::path file = get_shared_data() / "OS-1-128_v2.3.0_1024x10_lb_n3.npz";
-    if (!fs::exists(file)) GTEST_SKIP() << file << " is not there; RELIDAR_SHARED names another folder";
-    const OusterScans scans(file);
+    const auto images = test::load_real_images("OS-1-128_v2.3.0_1024x10_lb_n3.npz", "", test::kSingle);
+    if (!images) GTEST_SKIP() << "the scans are not there; RELIDAR_SHARED names another folder";
+    const OusterImages& scans = *images;
     DatasetOptions options;
     options.max_range_m = 400.0;
     const LidarSequence log = load_sequence(write_folder(scans, "found", false).string(), options);
@@ -174,7 +133,7 @@ TEST(OusterFolder, BeamsAreFoundInThePoints) {
     for (std::size_t f = 0; f < scans.frames; ++f) {
         std::size_t all = 0;
         for (std::size_t i = 0; i < scans.rows * scans.columns; ++i)
-            all += scans.range_m[f * scans.rows * scans.columns + i] > 0.0;
+            all += scans.range_mm[f * scans.rows * scans.columns + i] > 0;
         EXPECT_EQ(log.frames[f].scan.count_returns(), all);
     }
 }

@@ -1,10 +1,15 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "log/readers/bag/packets/ouster_packets.hpp"
 
+#include <algorithm>
+#include <cmath>
+#include <cstdlib>
 #include <fstream>
 
 #include <fmt/format.h>
 #include <fmt/ranges.h>
+
+#include <relidar/base/arrays.hpp>
 
 #include "base/bytes.hpp"
 
@@ -13,32 +18,17 @@ namespace {
 
 void add_pixel(std::string& bytes, const OusterImages& images, std::size_t index) {
     const std::uint32_t mm = images.range_mm[index], bright = images.reflectivity[index];
-    if (images.profile == kLegacy) {
-        append_binary_value(bytes, mm | 0xA00000u);  // bits above the range are flags
-        append_binary_value(bytes, std::uint16_t(bright));
-        append_binary_value(bytes, std::uint16_t(500));
-        append_binary_value(bytes, std::uint32_t(77));
-    } else if (images.profile == kSingle) {
-        append_binary_value(bytes, mm | 0x80000u);
-        append_binary_value(bytes, std::uint8_t(bright));
-        append_binary_value(bytes, std::uint8_t(0xEE));
-        append_binary_value(bytes, std::uint16_t(500));
-        append_binary_value(bytes, std::uint32_t(77));
-    } else if (images.profile == kDual) {
-        const bool has_second = !images.range_2_mm.empty();
-        append_binary_value(bytes, mm | bright << 24);
-        append_binary_value(bytes,
-                            has_second ? images.range_2_mm[index] | images.reflectivity_2[index] << 24 : 0u);
-        append_binary_value(bytes, std::uint32_t(0x01F401F4));
-        append_binary_value(bytes, std::uint32_t(77));
-    } else {
-        append_binary_value(bytes, std::uint32_t(mm / 8 | 0x8000u | bright << 16 | 0x77000000u));
-        if (images.is_dual())
-            append_binary_value(
-                bytes, images.range_2_mm.empty()
-                           ? 0u
-                           : images.range_2_mm[index] / 8 | images.reflectivity_2[index] << 16 | 0x55000000u);
-    }
+    const std::uint32_t second_mm = images.range_2_mm.empty() ? 0 : images.range_2_mm[index],
+                        second_bright = images.range_2_mm.empty() ? 0 : images.reflectivity_2[index];
+    std::vector<std::uint32_t> words;
+    if (images.profile == kLegacy) words = {mm | 0xA00000u, bright | 500u << 16, 77};  // with flags
+    else if (images.profile == kSingle) words = {mm | 0x80000u, bright | 0xEE00u | 500u << 16, 77};
+    else if (images.profile == kDual)
+        words = {mm | bright << 24, second_mm | second_bright << 24, 0x01F401F4, 77};
+    else words = {mm / 8 | 0x8000u | bright << 16 | 0x77000000u};
+    if (images.is_dual() && images.is_low_rate())
+        words.push_back(second_mm / 8 | second_bright << 16 | (images.range_2_mm.empty() ? 0u : 0x55000000u));
+    for (const std::uint32_t word : words) append_binary_value(bytes, word);
 }
 
 std::string make_column_bytes(const OusterImages& images, std::size_t frame, std::size_t column) {
@@ -60,6 +50,43 @@ std::string make_column_bytes(const OusterImages& images, std::size_t frame, std
 std::string read_big_endian(std::uint16_t value) { return {char(value >> 8), char(value & 0xff)}; }
 
 }  // namespace
+
+glm::dvec3 OusterImages::compute_point(std::size_t row, std::size_t column, double mm) const {
+    const double encoder = 2.0 * kPi * (1.0 - double(column) / double(columns)),
+                 theta = encoder - azimuth_deg[row] * kPi / 180.0, phi = altitude_deg[row] * kPi / 180.0;
+    const double n_m = 1e-3 * n_mm, r_m = 1e-3 * mm - n_m;
+    return {r_m * std::cos(theta) * std::cos(phi) + n_m * std::cos(encoder),
+            r_m * std::sin(theta) * std::cos(phi) + n_m * std::sin(encoder), r_m * std::sin(phi)};
+}
+
+std::optional<OusterImages> load_real_images(const std::string& name, const std::string& product,
+                                             const std::string& profile) {
+    const char* shared = std::getenv("RELIDAR_SHARED");
+    const std::filesystem::path file =
+        (shared ? std::filesystem::path(shared)
+                : std::filesystem::path(RELIDAR_SOURCE_DIR).parent_path() / "shared") /
+        "data/ouster" / name;
+    if (!std::filesystem::exists(file)) return std::nullopt;
+    const std::vector<NamedArray> arrays = read_npz(file);
+    const auto array = [&](const char* key) -> const NamedArray& {
+        return *std::ranges::find_if(arrays, [&](const NamedArray& a) { return a.name == key; });
+    };
+    OusterImages images;
+    images.product = product;
+    images.profile = profile;
+    images.frames = array("range_mm").shape[0];
+    images.rows = array("range_mm").shape[1];
+    images.columns = array("range_mm").shape[2];
+    images.altitude_deg = array("alt").convert_to_doubles();
+    images.azimuth_deg = array("az").convert_to_doubles();
+    images.n_mm = array("n_mm").convert_to_doubles()[0];
+    for (const double mm : array("range_mm").convert_to_doubles())  // low rate: 15 bits in units of 8 mm
+        images.range_mm.push_back(images.is_low_rate() && mm > 262136.0 ? 0 : std::uint32_t(mm));
+    for (const double v : array("refl").convert_to_doubles()) images.reflectivity.push_back(std::uint32_t(v));
+    for (const double ns : array("ts").convert_to_doubles()) images.time_ns.push_back(std::uint64_t(ns));
+    if (images.is_dual()) add_second_returns(images);
+    return images;
+}
 
 std::vector<OusterPacket> make_packets(const OusterImages& images) {
     std::vector<OusterPacket> packets;

@@ -5,9 +5,11 @@
 
 #include <cstdint>
 #include <filesystem>
+#include <optional>
 #include <string>
-#include <utility>
 #include <vector>
+
+#include <relidar/base/math.hpp>
 
 namespace relidar::test {
 
@@ -37,10 +39,17 @@ struct OusterImages {
     bool is_in_window(std::size_t column) const { return last == 0 || (column >= first && column <= last); }
     bool is_dual() const { return profile == kDual || profile == kLowRateDual || profile == kFusa; }
     bool is_low_rate() const { return profile == kLowRate || profile == kLowRateDual || profile == kFusa; }
-    /// Returns the range as packets store it. The low data rate profiles use steps of 8
-    /// mm.
+    /// Returns the range as packets store it. Low data rate profiles use steps of 8 mm.
     std::uint32_t round_mm(std::uint32_t mm) const { return is_low_rate() ? mm / 8 * 8 : mm; }
+    /// Computes a point in Ouster's LiDAR frame with Ouster's equation. Column m of W
+    /// columns has the encoder angle 2 pi (1 - m / W).
+    glm::dvec3 compute_point(std::size_t row, std::size_t column, double mm) const;
 };
+
+/// Reads range images of a real sensor. Returns nothing if RELIDAR_SHARED (default:
+/// ../shared next to the repository) does not contain the file.
+std::optional<OusterImages> load_real_images(const std::string& name, const std::string& product,
+                                             const std::string& profile);
 
 /// Adds second returns 1.5 m behind every fifth first return. Some of the second returns
 /// are brighter than the first return.
