@@ -147,10 +147,10 @@ def log(driver, kind="tf", topic="/points", slash="", **given):
     return sorted(messages, key=lambda m: m[2])
 
 
-def check(name, bag, n_frames=N, second=False, stamps="first", scale=255.0, ordered=True, poses_there=True, more=()):
-    folder, head, _ = convert(bag, *more)
+def check(name, bag, *settings, second=False, stamps="first", poses_there=True):
+    folder, head, _ = convert(bag, *settings)
     frames = head["frames"]
-    expect([f["number"] for f in frames] == list(range(n_frames)), f"{name}: frames {[f['number'] for f in frames]}, expected {n_frames}")
+    expect([f["number"] for f in frames] == list(range(N)), f"{name}: frames {[f['number'] for f in frames]}, expected {N}")
     rows = np.loadtxt(folder / "poses.txt", ndmin=2) if poses_there else None
     zero_ns = T0 + (int(sweep(0)[1][0, -1]) if stamps == "last" else 0)
     for k, frame in enumerate(frames):
@@ -168,10 +168,9 @@ def check(name, bag, n_frames=N, second=False, stamps="first", scale=255.0, orde
         time = scan["time"][hit][a] + frame["time_s"] + 1e-9 * (zero_ns - T0)
         apart = np.abs(time - 1e-9 * t[keep][b]).max()
         expect(apart < 1e-6, f"{name}, frame {k}: times {apart} s apart")
-        expect(np.abs(scan["intensity"][hit][a] - i[keep][b] / scale).max() < 1e-6, f"{name}, frame {k}: intensities differ")
-        if ordered:
-            expect((scan["ring"][hit][a] == RINGS[keep][b]).all(), f"{name}, frame {k}: rings differ")
-            expect(scan["range"].shape == (16, COLUMNS), f"{name}, frame {k}: an image of {scan['range'].shape}")
+        expect(np.abs(scan["intensity"][hit][a] - i[keep][b] / 255).max() < 1e-6, f"{name}, frame {k}: intensities differ")
+        expect((scan["ring"][hit][a] == RINGS[keep][b]).all(), f"{name}, frame {k}: rings differ")
+        expect(scan["range"].shape == (16, COLUMNS), f"{name}, frame {k}: an image of {scan['range'].shape}")
         if second:
             far = scan["range_2"][hit][a]
             wanted = (np.arange(COLUMNS) % 7 == 0)[None, :] & keep
@@ -180,7 +179,7 @@ def check(name, bag, n_frames=N, second=False, stamps="first", scale=255.0, orde
             place, yaw = lidar(1e-9 * (zero_ns - T0) + frame["time_s"])
             expect(abs(rows[k, 0] - frame["time_s"]) < 1e-9 and np.abs(rows[k, 1:4] - place).max() < 1e-6, f"{name}, frame {k}: position {rows[k]}")
             expect(np.abs(rows[k, 4:] - [np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)]).max() < 1e-7, f"{name}, frame {k}: heading {rows[k]}")
-    print(f"{name}: {n_frames} frames as written")
+    print(f"{name}: {N} frames as written")
     return head
 
 
@@ -209,11 +208,6 @@ def test_db3():
     bags.write_db3(bag / "part_c.db3", messages[:half])
     bags.write_metadata(bag, ["part_c.db3", "part_b.db3"])
     check("split db3, Autoware with second returns", bag, second=True)
-    bag = WORK / "packed"
-    bag.mkdir()
-    bags.write_db3(bag / "packed_0.db3", log(hesai), compressed=True)
-    bags.write_metadata(bag, ["packed_0.db3"], "MESSAGE")
-    check("db3 of compressed messages, Hesai", bag)
 
 
 def test_ros1():
@@ -270,7 +264,7 @@ def test_two():
         expect(len(found) == len(t) and np.abs(found - 1e-9 * t).max() < 1e-6, "times of two LiDARs")
     mount = head["lidars"][1]["vehicle_from_sensor"]
     expect(np.abs(np.array(mount["translation"]) - second["mount"]).max() < 1e-9, f"mounting {mount}")
-    check("one of two by dataset.lidars", bag, stamps="last", more=("dataset.lidars=/front",))
+    check("one of two by dataset.lidars", bag, "dataset.lidars=/front", stamps="last")
     expect("/middle" in run("info", bag, "--set", "dataset.lidars=/middle", code=2), "a topic that is not there")
 
 
@@ -281,14 +275,8 @@ def test_poses():
     expect("estimated" in run("info", bag), "a bag without poses")
     bag = WORK / "choice.mcap"
     bags.write_mcap(bag, log(hesai) + poses("odometry")[1:])
-    check("poses of a topic", bag, more=("dataset.poses_from=/odometry",))
+    check("poses of a topic", bag, "dataset.poses_from=/odometry")
     expect("/odometry" in run("info", bag, "--set", "dataset.poses_from=/gps", code=2), "poses of a topic that is not there")
-    shifted = [(m[0], m[1], m[2], dict(m[3])) for m in log(hesai)]
-    for m in shifted:   # simulates a sensor clock that is an hour late
-        if m[0] == "/points":
-            m[3]["header"] = {"stamp": m[3]["header"]["stamp"] - 3600 * 10**9, "frame_id": "lidar"}
-    bags.write_mcap(WORK / "clocks.mcap", shifted)
-    expect("clocks" in run("info", WORK / "clocks.mcap"), "clocks that do not go together")
     renamed = log(hesai)
     for m in [m for m in renamed if m[0] == "/points"][3:]:
         m[3]["header"] = dict(m[3]["header"], frame_id="rear")

@@ -154,17 +154,17 @@ private:
     void append_pixels(std::string& bytes, const FiringColumn& column) const {
         const OusterProfile& profile = *format_->profile;
         for (const std::size_t ring : format_->ring_of) {
-            std::string pixel(profile.pixel_bytes, '\0');
+            const std::size_t at = bytes.size();
+            bytes.append(profile.pixel_bytes, '\0');
             for (int k = 0; k < profile.returns && !column.returns.empty(); ++k)
-                write_return_to_pixel(pixel, 4 * std::size_t(k), column.returns[ring][std::size_t(k)],
+                write_return_to_pixel(&bytes[at + 4 * std::size_t(k)], column.returns[ring][std::size_t(k)],
                                       format_->sensor.beams[ring].origin_offset_m);
-            bytes += pixel;
         }
     }
 
     /// Ouster measures ranges from the axis of rotation. Therefore the distance of the
     /// beam origin from the axis is added.
-    void write_return_to_pixel(std::string& pixel, std::size_t byte_offset, const LaserReturn& laser_return,
+    void write_return_to_pixel(char* pixel, const LaserReturn& laser_return,
                                double beam_origin_offset_m) const {
         const OusterProfile& profile = *format_->profile;
         if (laser_return.range_m <= 0.0f) return;
@@ -172,9 +172,8 @@ private:
             std::round((double(laser_return.range_m) + beam_origin_offset_m) / profile.range_unit_m);
         if (!(range >= 1.0 && range <= double(profile.range_bits))) return;
         const auto number = std::uint32_t(range);
-        for (std::size_t k = 0; k < 4 && number >> (8 * k) != 0; ++k)
-            pixel[byte_offset + k] = char(number >> (8 * k));
-        pixel[byte_offset + profile.reflectivity_at] = char(convert_intensity_to_byte(laser_return));
+        for (std::size_t k = 0; k < 4 && number >> (8 * k) != 0; ++k) pixel[k] = char(number >> (8 * k));
+        pixel[profile.reflectivity_at] = char(convert_intensity_to_byte(laser_return));
     }
 };
 

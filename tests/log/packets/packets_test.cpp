@@ -7,7 +7,6 @@
 #include <cstring>
 #include <filesystem>
 #include <map>
-#include <ostream>
 #include <set>
 #include <string_view>
 
@@ -256,11 +255,6 @@ struct WrittenProduct {
     double quantum_m;
 };
 
-/// Prints a product in messages of failed tests.
-void PrintTo(const WrittenProduct& product, std::ostream* out) {
-    *out << product.sensor << ' ' << product.profile << ", returns " << product.returns;
-}
-
 /// Writes two turns of a scan as a capture, and reads the capture as a log.
 LidarSequence write_and_load_log(const SpinningSensor& sensor, const PacketOptions& options,
                                  const Scan& scan) {
@@ -285,10 +279,9 @@ LidarSequence write_and_load_log(const SpinningSensor& sensor, const PacketOptio
     return load_sequence(file.string(), reading);
 }
 
-class WrittenPackets : public ::testing::TestWithParam<WrittenProduct> {};
-
-TEST_P(WrittenPackets, GiveTheSameReturnsAgain) {
-    const auto& [name, profile, returns, quantum_m] = GetParam();
+void expect_same_returns(const WrittenProduct& product) {
+    const auto& [name, profile, returns, quantum_m] = product;
+    SCOPED_TRACE(std::string(name) + " " + profile + ", returns " + std::to_string(returns));
     const SpinningSensor sensor = make_sensor_named(name);
     const PacketOptions options{.start_ns = kStart_ns, .returns = returns, .ouster_profile = profile};
     const Scan scan = make_known_scan(sensor, returns == 2);
@@ -332,18 +325,26 @@ TEST_P(WrittenPackets, GiveTheSameReturnsAgain) {
         << "only firings at the ends of the log may be lost";
 }
 
-INSTANTIATE_TEST_SUITE_P(
-    All, WrittenPackets,
-    ::testing::Values(WrittenProduct{"VLP-16", "", 1, 0.002}, WrittenProduct{"VLP-16", "", 2, 0.002},
-                      WrittenProduct{"VLP-32C", "", 1, 0.004}, WrittenProduct{"HDL-32E", "", 2, 0.002},
-                      WrittenProduct{"Pandar40P", "", 1, 0.004}, WrittenProduct{"Pandar64", "", 2, 0.004},
-                      WrittenProduct{"XT32", "", 2, 0.004}, WrittenProduct{"XT16", "", 1, 0.004},
-                      WrittenProduct{"XT32M", "", 2, 0.004}, WrittenProduct{"VLS-128", "", 1, 0.004},
-                      WrittenProduct{"QT64", "", 1, 0.004}, WrittenProduct{"QT64", "", 2, 0.004},
-                      WrittenProduct{"OT128", "", 1, 0.004}, WrittenProduct{"OT128", "", 2, 0.004},
-                      WrittenProduct{"OS1-64", "RNG19_RFL8_SIG16_NIR16", 1, 0.001},
-                      WrittenProduct{"OS0-32", "RNG15_RFL8_NIR8", 1, 0.008},
-                      WrittenProduct{"OS0-32", "RNG19_RFL8_SIG16_NIR16_DUAL", 2, 0.001}));
+TEST(Packets, GiveTheSameReturnsAgain) {
+    constexpr WrittenProduct kProducts[] = {{"VLP-16", "", 1, 0.002},
+                                            {"VLP-16", "", 2, 0.002},
+                                            {"VLP-32C", "", 1, 0.004},
+                                            {"HDL-32E", "", 2, 0.002},
+                                            {"Pandar40P", "", 1, 0.004},
+                                            {"Pandar64", "", 2, 0.004},
+                                            {"XT32", "", 2, 0.004},
+                                            {"XT16", "", 1, 0.004},
+                                            {"XT32M", "", 2, 0.004},
+                                            {"VLS-128", "", 1, 0.004},
+                                            {"QT64", "", 1, 0.004},
+                                            {"QT64", "", 2, 0.004},
+                                            {"OT128", "", 1, 0.004},
+                                            {"OT128", "", 2, 0.004},
+                                            {"OS1-64", "RNG19_RFL8_SIG16_NIR16", 1, 0.001},
+                                            {"OS0-32", "RNG15_RFL8_NIR8", 1, 0.008},
+                                            {"OS0-32", "RNG19_RFL8_SIG16_NIR16_DUAL", 2, 0.001}};
+    for (const WrittenProduct& product : kProducts) expect_same_returns(product);
+}
 
 struct AlternatingProduct {
     const char *sensor, *layout;
@@ -352,17 +353,11 @@ struct AlternatingProduct {
     double most_apart_deg;  ///< of these lasers, because their file has a single azimuth
 };
 
-void PrintTo(const AlternatingProduct& product, std::ostream* out) {
-    *out << product.layout << ", returns " << product.returns;
-}
-
-class AlternatingPackets : public ::testing::TestWithParam<AlternatingProduct> {};
-
 /// The scan has a row for each laser. The log has a row for each laser and each firing
 /// sequence. Each ray of the log must be a ray of the scan. If the log is written again,
 /// the packets must be the same.
-TEST_P(AlternatingPackets, GiveTheRaysOfTheirLasers) {
-    const AlternatingProduct& product = GetParam();
+void expect_rays_of_lasers(const AlternatingProduct& product) {
+    SCOPED_TRACE(std::string(product.layout) + ", returns " + std::to_string(product.returns));
     const SpinningSensor sensor = make_sensor_named(product.sensor, product.columns);
     const PacketOptions options{.start_ns = kStart_ns, .returns = product.returns};
     const Scan scan = make_known_scan(sensor, product.returns == 2);
@@ -413,12 +408,12 @@ TEST_P(AlternatingPackets, GiveTheRaysOfTheirLasers) {
     EXPECT_NEAR(double(n_matched_returns) / n_rays, 0.8, 0.005);
 }
 
-INSTANTIATE_TEST_SUITE_P(
-    All, AlternatingPackets,
-    ::testing::Values(AlternatingProduct{"QT128", "QT128", 900, 1, 64, 0.055},
-                      AlternatingProduct{"QT128", "QT128", 900, 2, 64, 0.055},
-                      AlternatingProduct{"OT128", "OT128 in high resolution", 3600, 1, 68, 0.0075},
-                      AlternatingProduct{"OT128", "OT128 in high resolution", 3600, 2, 68, 0.0075}));
+TEST(Packets, GiveTheRaysOfTheirLasers) {
+    for (const int returns : {1, 2}) {
+        expect_rays_of_lasers({"QT128", "QT128", 900, returns, 64, 0.055});
+        expect_rays_of_lasers({"OT128", "OT128 in high resolution", 3600, returns, 68, 0.0075});
+    }
+}
 
 TEST(Packets, OfOtherSensorsAreRefused) {
     SpinningSensor sensor = make_sensor_named("HDL-64E");

@@ -101,8 +101,7 @@ public:
         LoadedBoxTracks result;
         if (n_unplaced_ > 0)
             result.notes.push_back(fmt::format(
-                "{} boxes are skipped, because the pose of the frame '{}' in the frame '{}' is unknown at "
-                "their times",
+                "{} boxes are skipped, because the pose of the frame '{}' in the frame '{}' is unknown",
                 n_unplaced_, shorten_for_error_message(*unplaced_.begin()), transform_context_.vehicle));
         // Sorts labels by time. Removes repeated labels of an object at the same time.
         std::ranges::stable_sort(labels_, {}, &BoxLabel::time_s);
@@ -113,8 +112,7 @@ public:
         });
         if (n_repeated > 0)
             result.notes.push_back(fmt::format(
-                "{} boxes are skipped, because another box has the same track id and the same time",
-                n_repeated));
+                "{} boxes are skipped, because another box has the same track id and time", n_repeated));
         unify_category_and_size_by_id(labels_);
         result.tracks = build_tracks(labels_);
         return result;

@@ -18,19 +18,12 @@ namespace {
 constexpr double kLeastRate = 0.5, kMostRate = 2.0;
 // Limits of the lists of topics and of reasons in an error message.
 constexpr std::size_t kMostTopics = 10, kMostReasons = 3;
-constexpr std::size_t kMostTopicCharacters = 400, kMostReasonCharacters = 600;
 
-/// Limits the length of a list of texts. The last text then says how many are missing.
-void shorten_list(std::vector<std::string>& texts, std::size_t max_count, std::size_t max_characters) {
-    std::size_t n_texts = 0;
-    for (std::size_t length = 0; n_texts < std::min(texts.size(), max_count); ++n_texts) {
-        length += texts[n_texts].size();
-        if (n_texts > 0 && length > max_characters) break;
-    }
-    if (n_texts == texts.size()) return;
-    const std::size_t n_more = texts.size() - n_texts;
-    texts.resize(n_texts);
-    texts.push_back(fmt::format("and {} more", n_more));
+void shorten_list(std::vector<std::string>& texts, std::size_t max_count) {
+    if (texts.size() <= max_count) return;
+    const std::string more = fmt::format("and {} more", texts.size() - max_count);
+    texts.resize(max_count);
+    texts.push_back(more);
 }
 
 std::string format_topics(const BagRecording& bag) {
@@ -38,7 +31,7 @@ std::string format_topics(const BagRecording& bag) {
     for (const BagTopic& topic : bag.topics())
         texts.push_back(fmt::format("{} ({})", shorten_for_error_message(topic.name),
                                     shorten_for_error_message(topic.type)));
-    shorten_list(texts, kMostTopics, kMostTopicCharacters);
+    shorten_list(texts, kMostTopics);
     return texts.empty() ? "none" : fmt::format("{}", fmt::join(texts, ", "));
 }
 
@@ -59,20 +52,16 @@ constexpr PacketDriver kDrivers[] = {
 std::string explain_why_no_clouds_were_found(const BagRecording& bag, const BagIndex& bag_index,
                                              const std::string& requested_topic = "") {
     std::vector<std::string> reasons = bag.get_file_problems();
-    const auto is_requested = [&](const BagTopic& topic) {
-        return requested_topic.empty() || topic.name == requested_topic;
-    };
-    for (const BagTopic& topic : bag.topics())
-        for (const PacketDriver& packet_driver : kDrivers)
-            if (is_requested(topic) && topic.type.starts_with(packet_driver.package))
-                reasons.push_back(
-                    fmt::format("{}: relidar cannot decode these packets; play the recording with the driver "
-                                "{}, and record its point clouds",
-                                shorten_for_error_message(topic.name), packet_driver.driver));
     for (std::size_t t = 0; t < bag_index.facts.size(); ++t) {
         const BagTopic& topic = bag.topics()[t];
-        if (!is_requested(topic)) continue;
+        if (!requested_topic.empty() && topic.name != requested_topic) continue;
         const std::string name = shorten_for_error_message(topic.name);
+        for (const PacketDriver& packet_driver : kDrivers)
+            if (topic.type.starts_with(packet_driver.package))
+                reasons.push_back(
+                    fmt::format("{}: found packets that relidar cannot decode; convert them to "
+                                "point clouds with {}",
+                                name, packet_driver.driver));
         const auto clouds = std::ranges::find(bag_index.clouds, t, &CloudTopic::topic);
         const bool is_empty = clouds != bag_index.clouds.end() && clouds->clouds.empty();
         if (is_empty && !clouds->packets.empty())
@@ -92,7 +81,7 @@ std::string explain_why_no_clouds_were_found(const BagRecording& bag, const BagI
                             bag_index.facts[t].n));
     }
     if (bag.topics().empty()) reasons.push_back("the recording has no messages");
-    shorten_list(reasons, kMostReasons, kMostReasonCharacters);
+    shorten_list(reasons, kMostReasons);
     std::string text;
     for (const std::string& reason : reasons) text += fmt::format(" ({})", reason);
     return text;

@@ -42,11 +42,9 @@ bool has_moving_transform_up_to(const FrameTree& frame_tree,
 PoseSourceCandidate make_pose_source_from_tf(const FrameTree& frame_tree,
                                              const std::vector<std::string>& frame_path_to_root,
                                              const std::string& ancestor_frame) {
-    PoseSourceCandidate source{
-        ancestor_frame,
-        nullptr,
-        find_vehicle_frame_below_ancestor(frame_tree, frame_path_to_root, ancestor_frame),
-        {}};
+    PoseSourceCandidate source;
+    source.outer = ancestor_frame;
+    source.vehicle = find_vehicle_frame_below_ancestor(frame_tree, frame_path_to_root, ancestor_frame);
     source.about = fmt::format("poses of the frame '{}' in the frame '{}' are read from /tf (path {}){}",
                                source.vehicle, ancestor_frame, fmt::join(frame_path_to_root, " < "),
                                has_moving_transform_up_to(frame_tree, frame_path_to_root, ancestor_frame)
@@ -90,8 +88,7 @@ std::optional<PoseSourceCandidate> find_requested_pose_source(
     fail<UsageError>(
         "dataset.poses_from: found '{}', expected a parent frame of '{}' or a topic of poses: {}",
         shorten_for_error_message(requested_frame_or_topic), frame_path_to_root.front(),
-        available_sources.empty() ? "the recording has no poses"
-                                  : fmt::format("{}", fmt::join(available_sources, ", ")));
+        available_sources.empty() ? "none" : fmt::format("{}", fmt::join(available_sources, ", ")));
 }
 
 std::optional<PoseSourceCandidate> select_default_pose_source(

@@ -236,13 +236,12 @@ std::string correct_clock_jumps(std::vector<CloudIndexEntry>& clouds, LogClock c
     std::string text;
     if (kept.size() < clouds.size())
         text = fmt::format(
-            "{} clouds are left out, because their times are far from those of their neighbours, for example "
-            "by {:.3f} s",
+            "{} clouds are left out, because their times are far from their neighbours, for example {:.3f} s",
             clouds.size() - kept.size(), 1e-9 * double(std::abs(out_ns)));
     if (n_moved > 0)
         text += fmt::format(
             "{}the clock of the time stamps jumps, for example by {:.3f} s; the times of {} clouds are "
-            "corrected to the clock of the other clouds",
+            "corrected",
             text.empty() ? "" : "; ", 1e-9 * double(std::abs(moved_ns)), n_moved);
     clouds = std::move(kept);
     return text;

@@ -120,15 +120,13 @@ private:
                 used[t] = get_message_purpose_of_topic(bag_.topics()[t]) == MessagePurpose::transforms ||
                           poses_.about.ends_with(" " + bag_.topics()[t].name);
         if (boxes_.topic) used[boxes_.topic->topic] = true;
-        for (const std::string& text : bag_.get_file_problems()) add_note_if_not_empty(text);
-        for (const std::string& text : format_line_per_topic(bag_, survey_, used))
-            add_note_if_not_empty(text);
-        for (const std::string& text : clouds_.notes) add_note_if_not_empty(text);
-        for (const std::string& text : poses_.notes) add_note_if_not_empty(text);
-        for (const std::string& text : boxes_.notes) add_note_if_not_empty(text);
-        if (has_poses_) add_note_if_not_empty(poses_.clock_note);
-        if (has_poses_)
+        for (const auto& texts : {bag_.get_file_problems(), format_line_per_topic(bag_, survey_, used),
+                                  clouds_.notes, poses_.notes, boxes_.notes})
+            for (const std::string& text : texts) add_note_if_not_empty(text);
+        if (has_poses_) {
+            add_note_if_not_empty(poses_.clock_note);
             add_note_if_not_empty(poses_.about + "; use dataset.poses_from to select another frame or topic");
+        }
         for (const std::string& frame : survey_.frames.list_frames_with_several_parents())
             add_note_if_not_empty(fmt::format(
                 "the frame '{}' has several parents in /tf; the parent with the most transforms is used",

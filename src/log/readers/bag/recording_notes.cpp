@@ -101,18 +101,15 @@ std::string describe_missing_sweeps(const std::vector<double>& sweep_times_s, do
             at_s = sweep_times_s[i - 1];
         }
     }
-    return n == 0 ? ""
-                  : fmt::format(
-                        "{} gaps between sweeps with about {} missing sweeps; the longest gap is {:.2f} s, "
-                        "at {:.2f} s",
-                        n, missing, longest_s, at_s);
+    if (n == 0) return "";
+    return fmt::format("{} gaps with about {} missing sweeps; the longest gap is {:.2f} s, at {:.2f} s", n,
+                       missing, longest_s, at_s);
 }
 
 std::string describe_clouds_with_differing_frame_id(const CloudTopic& cloud_topic) {
     if (cloud_topic.n_other_frame == 0) return "";
     return fmt::format(
-        "{} clouds have another frame than the first cloud, for example '{}'; relidar assumes that all "
-        "clouds are in the frame '{}'",
+        "{} clouds have another frame than the first cloud, for example '{}'; all count as '{}'",
         cloud_topic.n_other_frame, shorten_for_error_message(cloud_topic.other_frame),
         shorten_for_error_message(cloud_topic.frame));
 }
@@ -131,13 +128,10 @@ std::string describe_time_jumps(const CloudTopic& cloud_topic) {
     }
     std::string text;
     if (n_falls > 0)
-        text = fmt::format("the stamps of {} clouds are not later than the stamp of the previous cloud",
-                           n_falls);
+        text = fmt::format("the stamps of {} clouds are not later than the previous stamp", n_falls);
     if (n_jumps > 0)
-        text += fmt::format(
-            "{}the clock of the stamps jumps {} times relative to the clock of the recorder, by at most "
-            "{:.2f} s",
-            text.empty() ? "" : "; ", n_jumps, std::abs(largest_s));
+        text += fmt::format("{}the clock of the stamps jumps {} times, by at most {:.2f} s",
+                            text.empty() ? "" : "; ", n_jumps, std::abs(largest_s));
     return text;
 }
 

@@ -32,7 +32,7 @@ public:
         if (facts.n++ == 0) facts.first_ns = facts.last_ns = message.log_ns;
         facts.first_ns = std::min(facts.first_ns, message.log_ns);
         facts.last_ns = std::max(facts.last_ns, message.log_ns);
-        count_if_broken(message.topic, [&] {
+        count_broken(message.topic, [&] {
             const BagTopic& topic = bag_.topics()[message.topic];
             const MessagePurpose use = get_message_purpose_of_topic(topic);
             if (use == MessagePurpose::cloud) index_cloud_message(topic, message);
@@ -48,7 +48,7 @@ public:
     bool has_packets_for_second_pass() const { return !late_.empty(); }
     bool is_topic_for_second_pass(std::size_t topic_index) const { return late_.contains(topic_index); }
     void index_packets_in_second_pass(const BagMessage& message) {
-        count_if_broken(message.topic, [&] { index_packet_message(bag_.topics()[message.topic], message); });
+        count_broken(message.topic, [&] { index_packet_message(bag_.topics()[message.topic], message); });
     }
     /// Reads the metadata of Ousters from files next to the recording.
     void read_ouster_metadata_files() {
@@ -73,9 +73,9 @@ private:
     bool has_read_metadata_ = false;
 
     template <class Function>
-    void count_if_broken(std::size_t topic_index, const Function& index_message) {
+    void count_broken(std::size_t topic_index, const Function& index) {
         try {
-            index_message();
+            index();
         } catch (const DataError& error) {
             TopicStatistics& facts = survey_.facts[topic_index];
             if (facts.n_broken++ == 0) facts.broken = error.what();

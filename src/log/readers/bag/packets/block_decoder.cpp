@@ -283,12 +283,11 @@ std::vector<PacketBeam> list_beams_of_packet_layout(const PacketLayout& layout) 
 
 std::unique_ptr<PacketDecoder> make_block_packet_decoder(const char* product_name,
                                                          const DecoderCalibration& calibration) {
-    const auto find_layout = [](const std::string& row_name) {
-        return std::ranges::find(kLayouts, row_name, &PacketLayout::name);
-    };
-    const auto* layout =
-        find_layout(std::string(product_name) + (calibration.has_two_returns ? " with two returns" : ""));
-    if (layout == std::end(kLayouts)) layout = find_layout(product_name);
+    const PacketLayout* layout = nullptr;
+    for (const PacketLayout& row : kLayouts)
+        if (row.name == std::string(product_name) ||
+            (calibration.has_two_returns && row.name == product_name + std::string(" with two returns")))
+            layout = &row;  // the row for two returns follows the usual one
     return std::make_unique<BlockDecoder>(*layout, calibration.corrections);
 }
 

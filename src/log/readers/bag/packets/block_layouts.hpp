@@ -149,9 +149,9 @@ std::vector<PacketBeam> list_beams_of_packet_layout(const PacketLayout& layout);
 
 /// Velodyne: 12 blocks that begin with FF EE. A firing of the VLS-128 takes 55.3 us,
 /// although its manual states 53.3 us.
-constexpr PacketLayout make_velodyne_layout(const char* name, std::size_t block_lasers, std::size_t firings,
-                                            std::size_t banks, double range_unit_m, double cycle_us,
-                                            double shift_us) {
+constexpr PacketLayout velodyne_layout(const char* name, std::size_t block_lasers, std::size_t firings,
+                                       std::size_t banks, double range_unit_m, double cycle_us,
+                                       double shift_us) {
     PacketLayout layout{name, name};
     layout.flagged = true;
     layout.block_lasers = block_lasers;
@@ -170,8 +170,8 @@ constexpr PacketLayout make_velodyne_layout(const char* name, std::size_t block_
     return layout;
 }
 
-constexpr PacketLayout make_rs16_layout(const char* name, std::size_t firings, std::size_t block_returns) {
-    PacketLayout layout = make_velodyne_layout("RS-LiDAR-16", 16, firings, 1, 0.005, 55.5, 0.0);
+constexpr PacketLayout rs16_layout(const char* name, std::size_t firings, std::size_t block_returns) {
+    PacketLayout layout = velodyne_layout("RS-LiDAR-16", 16, firings, 1, 0.005, 55.5, 0.0);
     layout.name = name;
     layout.blocks_at = 42;
     layout.block_returns = block_returns;
@@ -186,10 +186,9 @@ constexpr PacketLayout make_rs16_layout(const char* name, std::size_t firings, s
 /// Hesai's manuals state the time of each laser relative to the start of its block. In
 /// relidar, the first laser of a firing has the time 0. So `shift_us` is the sum of the
 /// start of the block and the time of its first laser.
-constexpr PacketLayout make_hesai_layout(const char* name, std::size_t blocks_at, std::size_t n_blocks,
-                                         std::size_t block_lasers, std::size_t unit_bytes,
-                                         std::size_t time_at, std::size_t mode_at, double cycle_us,
-                                         double shift_us) {
+constexpr PacketLayout hesai_layout(const char* name, std::size_t blocks_at, std::size_t n_blocks,
+                                    std::size_t block_lasers, std::size_t unit_bytes, std::size_t time_at,
+                                    std::size_t mode_at, double cycle_us, double shift_us) {
     PacketLayout layout{name, name, blocks_at, n_blocks};
     layout.block_lasers = block_lasers;
     layout.unit_bytes = unit_bytes;
@@ -200,36 +199,36 @@ constexpr PacketLayout make_hesai_layout(const char* name, std::size_t blocks_at
     return layout;
 }
 
-constexpr PacketLayout make_pandar40p_layout() {
-    PacketLayout layout = make_hesai_layout("Pandar40P", 0, 10, 40, 3, 1250, 1254, 55.56, -28.58 - 54.67);
+constexpr PacketLayout pandar40p_layout() {
+    PacketLayout layout = hesai_layout("Pandar40P", 0, 10, 40, 3, 1250, 1254, 55.56, -28.58 - 54.67);
     layout.flagged = true;
     layout.range_unit_m = 0.004;
     return layout;
 }
 
-constexpr PacketLayout make_pandar64_layout() {
-    PacketLayout layout = make_hesai_layout("Pandar64", 8, 6, 64, 3, 1182, 1186, 55.56, -42.58 - 54.668);
+constexpr PacketLayout pandar64_layout() {
+    PacketLayout layout = hesai_layout("Pandar64", 8, 6, 64, 3, 1182, 1186, 55.56, -42.58 - 54.668);
     layout.unit_at = 5;
     return layout;
 }
 
-constexpr PacketLayout make_qt64_layout() {
-    PacketLayout layout = make_hesai_layout("QT64", 12, 4, 64, 4, 1056, 1060, 500.0 / 3.0, 25.71 + 12.31);
+constexpr PacketLayout qt64_layout() {
+    PacketLayout layout = hesai_layout("QT64", 12, 4, 64, 4, 1056, 1060, 500.0 / 3.0, 25.71 + 12.31);
     layout.at_end = false;
     return layout;
 }
 
-constexpr PacketLayout make_qt128_layout() {
-    PacketLayout layout = make_hesai_layout("QT128", 12, 2, 128, 4, 1082, 1073, 1000.0 / 9.0, 9.0 + 0.6);
+constexpr PacketLayout qt128_layout() {
+    PacketLayout layout = hesai_layout("QT128", 12, 2, 128, 4, 1082, 1073, 1000.0 / 9.0, 9.0 + 0.6);
     layout.loops = kQt128Loops;
     layout.part_rule = FiringSequenceRule::mode_flag;
     layout.part_at = 1066;
     return layout;
 }
 
-constexpr PacketLayout make_ot128_layout(bool is_fine) {
+constexpr PacketLayout ot128_layout(bool is_fine) {
     PacketLayout layout =
-        make_hesai_layout("OT128", 12, 2, 128, 3, 826, 817, (is_fine ? 250.0 : 500.0) / 9.0, 43.346);
+        hesai_layout("OT128", 12, 2, 128, 3, 826, 817, (is_fine ? 250.0 : 500.0) / 9.0, 43.346);
     layout.last_marker = 3;
     if (is_fine) {
         layout.name = "OT128 in high resolution";
@@ -244,21 +243,21 @@ constexpr PacketLayout make_ot128_layout(bool is_fine) {
 }
 
 inline constexpr PacketLayout kLayouts[] = {
-    make_velodyne_layout("VLP-16", 16, 2, 1, 0.002, 55.296, 0.0),
-    make_velodyne_layout("VLP-32C", 32, 1, 1, 0.004, 55.296, 0.0),
-    make_velodyne_layout("HDL-32E", 32, 1, 1, 0.002, 46.08, 0.0),
-    make_velodyne_layout("VLS-128", 32, 1, 4, 0.004, 55.296, -8.7),
-    make_rs16_layout("RS-LiDAR-16", 2, 1),
-    make_rs16_layout("RS-LiDAR-16 with two returns", 1, 2),
-    make_pandar40p_layout(),
-    make_pandar64_layout(),
-    make_hesai_layout("XT32", 12, 8, 32, 4, 1071, 1062, 50.0, 5.632 + 0.368),
-    make_hesai_layout("XT16", 12, 8, 16, 4, 559, 550, 50.0, 5.632 + 0.368),
-    make_hesai_layout("XT32M", 12, 6, 32, 4, 811, 802, 50.0, 5.632 + 0.368),
-    make_qt64_layout(),
-    make_qt128_layout(),
-    make_ot128_layout(false),
-    make_ot128_layout(true),
+    velodyne_layout("VLP-16", 16, 2, 1, 0.002, 55.296, 0.0),
+    velodyne_layout("VLP-32C", 32, 1, 1, 0.004, 55.296, 0.0),
+    velodyne_layout("HDL-32E", 32, 1, 1, 0.002, 46.08, 0.0),
+    velodyne_layout("VLS-128", 32, 1, 4, 0.004, 55.296, -8.7),
+    rs16_layout("RS-LiDAR-16", 2, 1),
+    rs16_layout("RS-LiDAR-16 with two returns", 1, 2),
+    pandar40p_layout(),
+    pandar64_layout(),
+    hesai_layout("XT32", 12, 8, 32, 4, 1071, 1062, 50.0, 5.632 + 0.368),
+    hesai_layout("XT16", 12, 8, 16, 4, 559, 550, 50.0, 5.632 + 0.368),
+    hesai_layout("XT32M", 12, 6, 32, 4, 811, 802, 50.0, 5.632 + 0.368),
+    qt64_layout(),
+    qt128_layout(),
+    ot128_layout(false),
+    ot128_layout(true),
 };
 
 }  // namespace relidar::packets

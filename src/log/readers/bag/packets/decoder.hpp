@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Interface of the packet decoders of spinning LiDARs. Packets contain every firing, so
 // rays without a return (dropped rays) are known. products.cpp lists the products.
-// block_decoder.cpp decodes Velodyne and Hesai. ouster_decoder.cpp decodes Ouster.
+// block_decoder.cpp decodes Velodyne and Hesai, ouster_metadata.cpp decodes Ouster.
 #pragma once
 
 #include <array>
