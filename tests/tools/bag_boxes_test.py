@@ -144,7 +144,6 @@ def check(name, boxes, n=10, ids=IDS, categories=("class 1", "class 7")):
         expect(abs(abs(np.dot(box["quaternion"], [np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)])) - 1) < 1e-9, f"{name}: {box} turned by {yaw}")
         expect(np.abs(np.array(box["size"]) - SIZES[k]).max() < 1e-6, f"{name}: sizes {box['size']}")
         expect(box["category"] == categories[k], f"{name}: category {box['category']}, expected {categories[k]}")
-    print(f"{name}: {len(boxes)} boxes as written")
 
 
 def test_versions():

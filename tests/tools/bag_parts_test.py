@@ -66,7 +66,6 @@ def check(name, columns, clockwise=True, lost=(), turns=range(N)):
         same = np.lexsort((points[:, 2], np.rint((times + 1e-9 * (zero_ns(head) - T0)) * 1e9 / (TURN // COLUMNS))))
         expect(np.abs(points[same] - wanted.reshape(-1, 3)[order]).max() < 1e-4, f"{name}, turn {turn}: points")
     expect(abs(head["lidars"][0]["sensor"]["spinning"]["period_s"] - 0.1) < 1e-3, f"{name}: a turn of {head['lidars'][0]['sensor']['spinning']['period_s']} s")
-    print(f"{name}: {len(scans)} turns as measured")
 
 
 def test_joined():
@@ -105,7 +104,6 @@ def test_left_alone():
     times = lambda k: k * TURN + np.arange(COLUMNS // 3) * (TURN // (COLUMNS // 3))
     _, notes, scans = converted([message(window(k), times(k)) for k in range(N)])
     expect("part of a revolution" not in notes and len(scans) == N, f"windows: {len(scans)} scans\n{notes}")
-    print("windows of a LiDAR without a head: a scan each")
 
 
 run_tests(test_joined, test_said, test_left_alone)

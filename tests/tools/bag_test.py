@@ -179,7 +179,6 @@ def check(name, bag, *settings, second=False, stamps="first", poses_there=True):
             place, yaw = lidar(1e-9 * (zero_ns - T0) + frame["time_s"])
             expect(abs(rows[k, 0] - frame["time_s"]) < 1e-9 and np.abs(rows[k, 1:4] - place).max() < 1e-6, f"{name}, frame {k}: position {rows[k]}")
             expect(np.abs(rows[k, 4:] - [np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)]).max() < 1e-7, f"{name}, frame {k}: heading {rows[k]}")
-    print(f"{name}: {N} frames as written")
     return head
 
 

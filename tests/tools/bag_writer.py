@@ -7,6 +7,7 @@ import bz2
 import sqlite3
 import struct
 import subprocess
+import zlib
 
 HEADER = [("stamp", "time"), ("frame_id", "string")]
 POSE = [("position", [("x", "d"), ("y", "d"), ("z", "d")]), ("orientation", [("x", "d"), ("y", "d"), ("z", "d"), ("w", "d")])]
@@ -99,11 +100,10 @@ def long_name(type_name):
     return type_name.replace("/", "/msg/")
 
 
-def write_mcap(path, messages, form="cdr", compression="", chunk=None, crc=True, end=True):
+def write_mcap(path, messages, form="cdr", compression="", chunk=None, end=True):
     """Writes an MCAP file.
     @param chunk number of messages in a chunk; None: no chunks
     @param end the file ends with a data end and a footer, without index and summary"""
-    import zlib
     encoding = "ros1" if form == "ros1" else "cdr"
     record = lambda code, body: struct.pack("<BQ", code, len(body)) + body
     out = open(path, "wb")   # writes messages immediately, because a bag may be larger than memory
@@ -115,7 +115,7 @@ def write_mcap(path, messages, form="cdr", compression="", chunk=None, crc=True,
         nonlocal pending, held
         data = bytes(pending)
         body = packed(compression, data)
-        out.write(record(6, struct.pack("<QQQI", 0, 0, len(data), zlib.crc32(data) if crc else 0) + text(compression) +
+        out.write(record(6, struct.pack("<QQQI", 0, 0, len(data), zlib.crc32(data)) + text(compression) +
                           struct.pack("<Q", len(body)) + body))
         out.write(record(7, struct.pack("<HI", 1, 0)))   # an empty index, which readers must skip
         pending, held = bytearray(), 0

@@ -96,7 +96,6 @@ def check(name, product, folder, head, truth, dual, forward_deg, n_lost=0):
     expect(apart.max() < 0.012, f"{name}: directions by up to {apart.max()} degrees")
     strongest = found[:, 10] == 0
     expect_walls(name, found[strongest, 4:7] + found[strongest, 7:8] * found[strongest, 1:4])
-    print(f"{name}: {len(found)} returns as written")
 
 
 def test_bags():
@@ -157,7 +156,6 @@ def test_alternating():
                 low, high = np.searchsorted(truth[near, 0], [found[k, 0] - 2e-6, found[k, 0] + 2e-6])
                 apart = np.degrees(np.linalg.norm(wanted[near[low:high]] - found[k, 1:4], axis=1))
                 expect(min(apart, default=360) < 0.012, f"{name}: at {found[k, 0]} s its nearest ray is {min(apart, default=360)} degrees apart")
-            print(f"{name}: {len(first)} returns as written")
 
 
 def test_strangers():
@@ -219,7 +217,6 @@ def test_ousters():
             poses = np.loadtxt(folder / "poses.txt")
             expect(names(notes, "poses ... 'base_link' ... 'map'") and "/ouster/points" in notes, f"{name}: {notes}")
             expect(np.abs(np.diff(poses[:, 1]) - 0.5).max() < 1e-3 and np.abs(np.abs(poses[:, 4]) - 1).max() < 1e-6, f"{name}: {poses}")
-        print(f"{name}: as written")
 
 
 def same_scans(name, one, other, most_s=0):
@@ -258,7 +255,6 @@ def test_livox():
             apart = np.abs(points[order][:n] - wanted[:n, :3]).max()
             late = np.abs(times[order][:n] - times[order][0] - wanted[:n, 3] + wanted[0, 3]).max()
             expect(apart < 1e-5 and late < 1e-6, f"Livox, form {kind}: points by up to {apart} m, times by up to {late} s")
-        print(f"Livox, form {kind}: {len(truth)} points as written")
 
 
 def test_captures():
@@ -278,7 +274,6 @@ def test_captures():
         expect(names(log[2], f"{len(packets)} packets ... {product.name}"), f"{how}: {log[2]}")
         text = run("info", capture)
         expect("192.168.1.201:2368" in text and "other UDP" in text, f"info of {how}: {text}")
-        print(f"{product.name}, {how}: as in a bag")
     test_livox()
     whole = capture.read_bytes()
     capture.write_bytes(whole[:-100])
@@ -445,7 +440,6 @@ def test_network():
         log = convert(capture(name, datagrams))
         same_scans(name, plain, log, 2e-6)
         expect(note in log[2], f"{name}: {log[2]}")
-        print(f"{name}: as in order")
     # Uses fragments. Each first fragment arrives twice, and the fragments of two
     # datagrams alternate.
     frames = []
@@ -484,7 +478,6 @@ def test_network():
     expect(names(text, "90 packets ... XT32") and names(text, "degrees ... revolution"), f"half a turn: {text}")
     text = run("info", capture("one", spaced[:1]), code=3)
     expect(names(text, "1 packets ... XT32"), f"one packet: {text}")
-    print("fragments, any, IPv6, two sensors, parts of a turn: as expected")
 
 
 def test_sectors():
@@ -513,7 +506,6 @@ def test_sectors():
         expect(not hit[np.abs(azimuth) > 136].any(), "returns in a sector without any")
         expect(0.24 < (np.abs(azimuth) > 135).mean() < 0.26, "rays of the sector are missing")
         expect(np.abs(scan["time"]).max() < 0.052, f"times up to {np.abs(scan['time']).max()} s")
-    print("XT32, a sector without any return: as written")
 
     product = lidars.PRODUCTS[1]
     expect(product.name == "VLP-32C", product.name)
@@ -548,7 +540,6 @@ def test_sectors():
         near = all_of_turn | {(r, d, t + e) for r, d, t in all_of_turn for e in (-1, 1)}
         expect(len(half - near) <= 64, f"half turns: {len(half - near)} of {len(half)} returns are not those of full turns")
         expect(abs(len(half) / len(all_of_turn) - 0.5) < 0.01, f"half turns: {len(half)} returns, {len(all_of_turn)} in full turns")
-    print("VLP-32C, half turns: as written")
 
 
 def convert_bag(name, packets):
@@ -631,7 +622,6 @@ def test_others():
                 expect(abs(scan["range"].size - 29_000) < 300, f"{name}: {scan['range'].size} rays")
             if share:
                 expect(abs((scan["range"] > 0).mean() - share) < 0.0015, f"{name}: {(scan['range'] > 0).mean()} returns")
-        print(f"{name}: {turns} turns")
     test_recorded_again(data)
     for name, reason in (("ouster-duplicate_id/duplicate_id.pcap", "1 packets of a 128-beam Ouster, OS-2-128"),
                          ("ouster-OS-1-128_fusa/OS-1-128_767798045_1024x10_20230712_120049.pcap", "8 packets of a 128-beam Ouster, OS-1-128"),

@@ -41,9 +41,8 @@ private:
     std::vector<int> shift_;
 };
 
-/// After subtracting `beam_delays_us`, all rays of a firing should have the same time.
-/// Returns the difference between the latest and the earliest time in each firing, summed
-/// over all firings. 0 means that the delays fit perfectly.
+/// Returns the difference between the latest and the earliest time in each firing after
+/// subtracting `beam_delays_us`, summed over all firings. 0: the delays fit perfectly.
 double compute_firing_time_spread_us(const Scan& scan, const FiringRayTable& firing_rays,
                                      const std::vector<double>& beam_delays_us) {
     double sum_us = 0.0;
@@ -95,9 +94,8 @@ FiringColumn make_firing_from_rays(const Scan& scan, const FiringRayTable& firin
     return column;
 }
 
-/// Computes the times of firings without returns, because a log has no measured time for
-/// them. Uses the nearest firing with a return, and the rotation of the head between the
-/// two firings.
+/// A log has no measured times of firings without returns. Uses the nearest firing with a
+/// return, and the rotation of the head between the two.
 void correct_times_of_empty_firings(std::vector<FiringColumn>& firings, double rotation_period_s) {
     std::vector<std::ptrdiff_t> lit;  // firings with returns
     for (std::size_t i = 0; i < firings.size(); ++i)

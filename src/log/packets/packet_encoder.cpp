@@ -149,9 +149,8 @@ struct PacketEncoder::Impl {
         pending[std::size_t(firing_index % get_firings_per_packet())] = std::move(firing);
     }
 
-    /// Adds firings without returns between the last firing and `next_firing`, for
-    /// sensors that fire at any azimuth. Assumes that the head rotates evenly between
-    /// them.
+    /// Adds firings without returns between the last firing and `next_firing`, with an
+    /// even rotation. Only for sensors that fire at any azimuth.
     void fill_gap_before_firing(const FiringColumn& next_firing, std::int64_t next_firing_index) {
         const double turned_deg = std::remainder(next_firing.azimuth_deg - last->azimuth_deg, 360.0);
         const double n = double(next_firing_index - last->position);
@@ -222,9 +221,9 @@ struct PacketEncoder::Impl {
                 pending, has_fixed_column_azimuths() ? std::uint32_t(packet) : n_written));
     }
 
-    /// Writes the pending packet, at the end of the log or before a long gap. Then writes
-    /// an extra packet without returns, from which drivers detect the end of the scan.
-    /// Sensors that fire only at fixed azimuths get no extra packet.
+    /// Writes the pending packet, then an extra packet without returns, from which
+    /// drivers detect the end of the scan. Not needed for sensors that fire at fixed
+    /// azimuths.
     void encode_final_packets() {
         if (pending.empty()) return;
         write_pending_packet();

@@ -55,9 +55,8 @@ public:
     /// Scan columns of a firing (all lasers at one azimuth): 2 if the lasers fire in two
     /// sequences and the scan stores each as a column, otherwise 1.
     virtual int get_scan_columns_per_firing() const { return 1; }
-    /// Converts scan columns to firings. If a scan stores the two sequences of a firing
-    /// as two columns, joins them to one firing. Each of the two columns also has
-    /// simulated rays of lasers that do not fire in its sequence. Removes these rays.
+    /// Joins the two columns of a firing. Removes simulated rays of lasers that do not
+    /// fire in the sequence of their column.
     virtual std::vector<FiringColumn> merge_scan_columns_into_firings(
         std::vector<FiringColumn> scan_columns) const {
         return scan_columns;
@@ -74,15 +73,13 @@ public:
         [[maybe_unused]] const std::vector<bool>& column_has_fired) const {
         return {};
     }
-    /// Encodes one packet. Its bytes contain the time on the sensor's clock.
-    /// @param firings  firings of the packet
+    /// The bytes contain the time on the sensor's clock.
     /// @param packet_number  sequence number of the packet, from 0
     virtual SensorPacket encode_packet(std::span<const FiringColumn> firings,
                                        std::uint32_t packet_number) const = 0;
 };
 
-/// Creates the packet format of a manufacturer, or returns null if the sensor is from
-/// another manufacturer.
+// Return null if the sensor is from another manufacturer.
 std::unique_ptr<PacketFormat> make_velodyne_format(const SpinningSensor& sensor,
                                                    const PacketOptions& options);
 std::unique_ptr<PacketFormat> make_hesai_format(const SpinningSensor& sensor, const PacketOptions& options);
@@ -112,11 +109,9 @@ public:
 protected:
     const PacketLayout& layout() const { return layout_; }
     bool has_dual_returns() const { return returns_ == 2; }
-    /// Returns the manufacturer's number of the laser that measures a ring (row) of the
-    /// scans, from 0.
+    /// Returns the manufacturer's number, from 0, of the laser of a ring.
     std::size_t get_laser_of_ring(std::size_t ring) const { return laser_of_[ring]; }
-    /// Returns the index of the firing sequence that a block of a packet stores. Lasers
-    /// of some sensors fire in two sequences, which can be in different packets.
+    /// Returns the firing sequence of a block. Sequences can be in different packets.
     std::size_t compute_firing_sequence_index(std::size_t block_index, std::uint32_t packet_number) const;
     void append_blocks(std::string& bytes, std::span<const FiringColumn> firings, std::uint32_t packet_number,
                        double range_unit_m) const;
@@ -151,7 +146,6 @@ private:
 };
 
 const PacketLayout& find_packet_layout(const std::string& product_name);
-/// Returns the names of the Velodyne sensors whose packets can be written.
 std::vector<std::string> list_velodyne_sensor_names();
 std::vector<std::string> list_hesai_sensor_names();
 

@@ -46,8 +46,7 @@ struct ClockOffset {
 };
 
 /// Compares two kinds of messages by their time stamps minus their recording times.
-/// Delays of some hundred milliseconds give no offset. Recording times that are unrelated
-/// to the time stamps also give none.
+/// Delays of some hundred milliseconds and unrelated recording times give no offset.
 /// @return time by which the clock of `messages` is ahead of the clock of `reference`
 ClockOffset estimate_clock_offset(const std::vector<MessageTimes>& messages,
                                   std::vector<MessageTimes> reference);

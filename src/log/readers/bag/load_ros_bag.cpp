@@ -295,9 +295,8 @@ private:
                                                                                        : offset;
     }
 
-    /// Reads vehicle poses from a file of the user. The file lists them by frame number
-    /// or by time. If it covers the times of the frames only on another clock, the other
-    /// clock is used.
+    /// The file lists poses by frame number or by time. Uses another clock if the file
+    /// covers the times of the frames only on that clock.
     std::vector<Pose> read_user_poses_at_frame_times() {
         const auto read_poses = [&](std::int64_t clock_offset_ns, Notes& notes) {
             std::vector<folder::SequenceHeaderFrame> frames;

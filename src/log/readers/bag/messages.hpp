@@ -126,9 +126,7 @@ public:
         if (!is_ros1_ && !text.empty() && text.back() == '\0') text.remove_suffix(1);
         return text;
     }
-    /// Reads the number of entries of a list.
-    /// @param min_entry_bytes  minimum size of an entry in bytes
-    /// @throws DataError if the rest of the message is too short for so many entries
+    /// @throws DataError if the message is too short for so many entries
     std::size_t read_list_length(std::size_t min_entry_bytes) {
         const auto n = read_number<std::uint32_t>();
         if (n > (bytes_.size() - at_) / min_entry_bytes)

@@ -50,10 +50,9 @@ private:
     mutable std::deque<std::pair<std::uint64_t, SharedBytes>> chunks_;
 };
 
-/// Unpacks a chunk. The compression is "", "none", "lz4", "zstd" or "bz2". Uncompressed
-/// chunks are not copied.
-/// @param unpacked_size  unpacked size according to the file. Impossible sizes are
-/// rejected before memory is allocated
+/// Unpacks a chunk. Does not copy uncompressed chunks.
+/// @param compression  "", "none", "lz4", "zstd" or "bz2"
+/// @param unpacked_size  according to the file; impossible sizes are rejected
 /// @throws DataError if the chunk is damaged
 SharedBytes unpack_chunk(std::string_view compression, const SharedBytes& compressed_chunk,
                          std::uint64_t unpacked_size);

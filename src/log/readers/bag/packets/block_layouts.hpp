@@ -80,8 +80,7 @@ inline constexpr LaserFiringTimes kOt128State1 = {
 inline constexpr LaserFiringTimes kOt128Standard[] = {kOt128All};
 inline constexpr LaserFiringTimes kOt128States[] = {kOt128State0, kOt128State1};
 
-/// Some sensors alternate between two sets of lasers. Defines where a packet stores which
-/// set has fired.
+/// Where a packet stores which of two sets of lasers has fired.
 enum class FiringSequenceRule {
     none,           ///< no field, because all blocks have the same firing sequence
     mode_flag,      ///< number of the block; for packets with two returns, bit 0 of a byte
@@ -108,21 +107,18 @@ struct PacketLayout {
     /// stored as two numbers: milliseconds and microseconds.
     bool is_big_endian = false;
     double wrap_us = 1e6, cycle_us = 50.0;
-    /// True if the time stamp of a packet refers to its last firing, false if to its
-    /// first firing.
+    /// true if the time stamp of a packet refers to its last firing, false if to its
+    /// first
     bool at_end = true;
-    /// Time from the packet's time stamp to the start of its last firing if `at_end` is
-    /// true, otherwise to the start of its first firing.
+    /// time from the packet's time stamp to the start of this firing
     double shift_us = 0.0;
     double forward_deg = 90.0;        ///< azimuth of the sensor's x axis in the angles of the packet
     int first_channel = 1;            ///< number of the first channel in the beam table
     bool has_correction_file = true;  ///< true if each unit has a file with its beam angles
     /// Range values up to this one mean "no return".
     std::uint16_t last_marker = 0;
-    /// Firing times of the lasers, with one table for each firing sequence. Some sensors
-    /// alternate between two sequences. list_beams_of_packet_layout() makes the times
-    /// relative to the earliest firing. Empty if the table of built-in sensors contains
-    /// the firing times.
+    /// [firing sequences] firing times of the lasers. Empty if the table of built-in
+    /// sensors contains them.
     std::span<const LaserFiringTimes> loops = {};
     FiringSequenceRule part_rule = FiringSequenceRule::none;
     std::size_t part_at = 0;  ///< byte offset of the field that contains the firing sequence
@@ -131,8 +127,7 @@ struct PacketLayout {
     std::size_t count_firing_sequences() const { return loops.empty() ? 1 : loops.size(); }
 };
 
-/// One laser in one firing sequence of the sensor. It measures one row of a scan. A laser
-/// that fires in two sequences has two rows.
+/// One laser in one firing sequence. It measures one row of a scan.
 struct PacketBeam {
     std::size_t laser = 0;  ///< index of the laser in a firing, from 0
     std::size_t part = 0;   ///< index of the firing sequence

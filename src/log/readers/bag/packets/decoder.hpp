@@ -101,12 +101,9 @@ struct AngleCorrection {
 /// @throws DataError if a line is invalid, or if a laser is missing
 AngleCorrection parse_angle_correction(const std::string& csv_text, const std::string& error_location);
 
-/// Finds and reads the angle correction files of a recording. If .csv files have the
-/// names of the recording's files, reads only these. Otherwise reads all .csv files in
-/// the folder of the recording that begin like an angle correction. A ROS 2 bag is a
-/// folder; the folder above it is then also searched. A file that cannot be read has no
-/// lasers.
-/// @param recording_files  all files of the recording
+/// Reads the .csv files that have the names of the recording's files. If there are none,
+/// reads all .csv files in the folder of the recording (for a ROS 2 bag, also in the
+/// folder above) that begin like an angle correction. A damaged file has no lasers.
 /// @throws DataError if the file with the name of the recording is damaged
 std::vector<AngleCorrection> find_angle_corrections(
     const std::vector<std::filesystem::path>& recording_files);
@@ -133,9 +130,7 @@ struct LidarProduct {
     /// driver that the user can use if relidar cannot decode the packets
     const char* driver = "";
 };
-/// Finds the product that sent a packet by its size and header, or by the Ouster
-/// metadata.
-/// @return null if no product matches
+/// Returns null if no product has packets of this size and header.
 const LidarProduct* find_product_of_packet(std::string_view packet_bytes,
                                            const DecoderCalibration& calibration);
 /// Returns the error message for packets that relidar cannot decode.

@@ -109,9 +109,7 @@ Scan make_scan_of_fixed_azimuth_sensor(RevolutionPoints& revolution_points,
 
 }  // namespace
 
-/// Decodes a packet again, to build the scan.
-/// @param message_index  index in `packets_of_message` of the message that contains the
-/// packet
+/// @param message_index  index in `packets_of_message`
 DecodedPacket PacketIndex::decode_packet_of_entry(
     std::size_t message_index, const Entry& packet_entry,
     const std::vector<std::vector<ReceivedPacket>>& packets_of_message) const {

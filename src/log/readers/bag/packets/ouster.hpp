@@ -59,12 +59,10 @@ std::shared_ptr<const OusterMetadata> parse_ouster_metadata(const std::string& j
 OusterMetadataList read_ouster_metadata_in_folder_of(const std::filesystem::path& recording_path,
                                                      std::vector<std::string>& error_messages);
 
-/// Returns the metadata of the sensor that sent a packet. The packet size and the port
-/// must match. The port may differ if the packet contains the serial number of the
-/// metadata, or if a LEGACY layout is the only metadata. If several metadata match,
-/// prefers metadata of the same topic (port of a capture, namespace of a bag), then
-/// metadata with the same serial number.
-/// @return null if no metadata matches, or if more than one remains
+/// Returns the metadata of the sensor that sent a packet, or null if it is ambiguous. The
+/// packet size and the port must match. The port may differ if the serial number matches,
+/// or if a LEGACY layout is the only metadata. Prefers metadata of the same topic (port
+/// of a capture, namespace of a bag), then with the same serial number.
 std::shared_ptr<const OusterMetadata> find_ouster_metadata_of_packet(const OusterMetadataList& metadata_list,
                                                                      std::string_view topic_name,
                                                                      std::string_view packet);

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Parses the metadata of Ouster sensors and decodes their packets (firmware user manual,
-// "Lidar Data" and "Lidar Data Legacy"). Old metadata is one flat JSON object. New metadata
-// consists of nested objects with the same keys.
+// "Lidar Data" and "Lidar Data Legacy"). Old metadata is one flat JSON object. New
+// metadata consists of nested objects with the same keys.
 #include <algorithm>
 #include <array>
 #include <cmath>
