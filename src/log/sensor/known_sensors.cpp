@@ -115,44 +115,28 @@ SensorModel make_kitti360_sensor(int columns, double rate_hz) {
     return make_sensor_model(std::move(sensor), "image size of published results on KITTI-360, 66 x 1030");
 }
 
-/// A built-in beam table.
-struct BeamTable {
-    std::string source;  ///< where the values are from
-    std::string csv;     ///< for parse_beam_table()
-};
-
-/// The first line of a file is # and the source of the values. Every other line is the
-/// name of a column and its values, highest beam first, or one value for all beams.
-BeamTable find_beam_table(const std::string& name) {
+/// The first line begins with # and names the source of the values.
+std::string find_beam_table(const std::string& name) {
     const auto tables = sensor_table_texts();
     const auto table =
-        std::ranges::find(tables, name + ".csv", [](const auto& named) { return std::string(named.first); });
+        std::ranges::find(tables, name + ".csv", [](const auto& t) { return std::string(t.first); });
     RELIDAR_ASSERT_EQ(table != tables.end(), true);
-    const std::vector<std::string> lines = split_lines(std::string(table->second));
-    std::vector<std::vector<std::string_view>> columns;
-    std::size_t n_cells = 0;
-    for (std::size_t l = 1; l < lines.size(); ++l)
-        n_cells = std::max(n_cells, columns.emplace_back(split_csv_cells(lines[l])).size());
-    BeamTable read{lines[0].substr(2), ""};
-    for (std::size_t cell = 0; cell < n_cells; ++cell)
-        for (const auto& column : columns) {
-            read.csv += column[std::min(cell, column.size() - 1)];
-            read.csv += &column == &columns.back() ? '\n' : ',';
-        }
-    return read;
+    return std::string(table->second);
 }
 
+std::string source_of(const std::string& table) { return table.substr(2, table.find('\n') - 2); }
+
 SensorModel make_built_in_beam_table_sensor(const BeamTableSensor& data_sheet, int columns, double rate_hz) {
-    const BeamTable table = find_beam_table(data_sheet.name);
+    const std::string table = find_beam_table(data_sheet.name);
     SpinningSensor sensor =
-        parse_beam_table(table.csv, data_sheet.name, columns ? columns : data_sheet.columns, rate_hz);
+        parse_beam_table(table, data_sheet.name, columns ? columns : data_sheet.columns, rate_hz);
     sensor.name = data_sheet.name;
     // exactly backward
     if (sensor.name.starts_with("OS")) sensor.first_azimuth_rad = kPi;
     sensor.min_range_m = data_sheet.min_range_m;
     sensor.max_range_m = data_sheet.max_range_m;
     sensor.divergence_rad = data_sheet.divergence_rad;
-    return make_sensor_model(std::move(sensor), table.source);
+    return make_sensor_model(std::move(sensor), source_of(table));
 }
 
 /// Mirrors scan 120 degrees from left to right in 0.1 s. Azimuth offsets of beams are
@@ -160,8 +144,8 @@ SensorModel make_built_in_beam_table_sensor(const BeamTableSensor& data_sheet, i
 SensorModel make_at128_sensor() {
     constexpr int kColumns = 1200;
     constexpr double period_s = 0.1, step_deg = 0.1;
-    const BeamTable table = find_beam_table("AT128");
-    const std::vector<Beam> beams = parse_beam_table(table.csv, "AT128", kColumns, 1.0 / period_s).beams;
+    const std::string table = find_beam_table("AT128");
+    const std::vector<Beam> beams = parse_beam_table(table, "AT128", kColumns, 1.0 / period_s).beams;
     RayTable rays;
     rays.rows = int(beams.size());
     rays.columns = kColumns;
@@ -174,7 +158,7 @@ SensorModel make_at128_sensor() {
             rays.time_offset_s.push_back(float(-left_of_middle / kColumns * period_s));
             rays.channel.push_back(std::uint16_t(row));
         }
-    return {"AT128", table.source, {0.5, 200.0}, std::move(rays)};
+    return {"AT128", source_of(table), {0.5, 200.0}, std::move(rays)};
 }
 
 /// data sheet of the AT128
@@ -199,10 +183,10 @@ SensorModel make_rosette_sensor() {
 }  // namespace
 
 std::vector<BeamFiring> get_beam_firings(const std::string& sensor_name) {
-    const std::vector<std::string> lines = split_lines(find_beam_table(sensor_name).csv);
-    const std::vector<std::string_view> header = split_csv_cells(lines[0]);
+    const std::vector<std::string> lines = split_lines(find_beam_table(sensor_name));
+    const std::vector<std::string_view> header = split_csv_cells(lines[1]);  // after the line with the source
     std::vector<BeamFiring> firings;
-    for (std::size_t l = 1; l < lines.size(); ++l) {
+    for (std::size_t l = 2; l < lines.size(); ++l) {
         const std::vector<std::string_view> cells = split_csv_cells(lines[l]);
         const auto number = [&](std::string_view column) {
             const auto at = std::size_t(std::ranges::find(header, column) - header.begin());
