@@ -101,9 +101,8 @@ TEST_F(GpuMemory, WhatNoArrayCanHaveIsRefusedByName) {
             const Buffer buffer(device(), n_bytes, "a test of the impossible");
             FAIL() << "expected DeviceError";
         } catch (const DeviceError& error) {
-            const std::string text = error.what();
-            EXPECT_THAT(text, test::Names("a test of the impossible"));
-            EXPECT_NE(text.find(std::string(name) + " = "), std::string::npos) << text;
+            EXPECT_THAT(error.what(),
+                        test::Names("a test of the impossible ... (" + std::string(name) + ")"));
         }
     }
 }
