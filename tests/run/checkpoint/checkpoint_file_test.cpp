@@ -182,7 +182,7 @@ TEST_F(CheckpointFile, NoneIsNothingAndOnlyDamagedOnesAreAnError) {
     EXPECT_FALSE(load(folder).checkpoint);
     save_checkpoint(folder, example(10), 2);
     put(list_checkpoints(folder).back(), "damaged");
-    EXPECT_THAT(get_data_error_message([&] { load(folder); }), test::Names("contains 1 checkpoint"));
+    EXPECT_THAT(get_data_error_message([&] { load(folder); }), test::Names("contains 1 checkpoints"));
 }
 
 TEST_F(CheckpointFile, AFullDiskLosesNothing) {
