@@ -1,9 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Trains a long log in blocks. A block is a section of the sensor's trajectory. It is
-// trained separately, with the sweeps that were recorded in or near this section. The
-// trained blocks are then joined to one scene. The backgrounds of the blocks stay in
-// files and are loaded when needed (Scene::blocks). The paper trains a log as one unit
-// and names this as a limitation.
+// Trains a long log in blocks: sections of the sensor's trajectory, each with the sweeps
+// that were recorded in or near it. The trained blocks are then joined to one scene,
+// whose background stays in files that are loaded when needed (Scene::blocks). The paper
+// trains a log as one unit and names this as a limitation.
 #pragma once
 
 #include <filesystem>

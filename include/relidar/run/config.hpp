@@ -1,8 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Settings of a run, one field per setting. The name of a setting consists of the field
-// names below, joined by dots, for example `loss.depth` or `init.voxel_m`. Some fields
-// are constants of the preset; `relidar list settings --all` does not list them. A run
-// with a changed constant cannot be saved.
+// Settings of a run. The name of a setting consists of the field names below, joined by
+// dots, for example `loss.depth`. Some fields are constants of the preset; a run with a
+// changed constant cannot be saved.
 #pragma once
 
 #include <cstdint>

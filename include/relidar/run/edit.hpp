@@ -1,8 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Functions that edit a dynamic scene. They return an edited copy of the scene and its
-// tracks. A track gives the pose of an instance over time (paper, Eq. 4-5). Edits change
-// only tracks and instances. TrainedRun::replace_driving_scene() then completes the
-// vehicles whose tracks have changed.
+// Edits of a dynamic scene change only tracks (pose of an instance over time; paper, Eq.
+// 4-5) and instances. TrainedRun::replace_driving_scene() then completes the vehicles
+// whose tracks have changed.
 #pragma once
 
 #include <filesystem>
@@ -55,13 +54,11 @@ struct SceneWithLogView {
 /// @throws UsageError if no instance has this track
 std::optional<double> measure_ground_clearance(const SceneWithLogView& actor_scene, const std::string& track);
 
-/// Computes the pose of an actor on the ground of the background. A moving actor gets a
-/// path that is straight in x and y and follows the ground. The ground plane is fitted to
-/// the level surfels below the box, and the actor is tilted like this plane. The actor's
-/// height above the plane equals its height above the ground in `actor_scene`. If
-/// `actor_scene` has no ground below the box, the bottom of the box is placed on the
-/// plane. Bridges and trees are not ground. Therefore, a surfel is ignored if it is above
-/// the log's sensor by more than a quarter of its distance.
+/// Pose of an actor on the ground of the background: the plane that is fitted to the
+/// level surfels below the box, at the same height as in `actor_scene` (or on the plane,
+/// if that scene has no ground below the box). A moving actor gets a path that is
+/// straight in x and y and follows the ground. Bridges and trees are not ground: a surfel
+/// is ignored if it is above the log's sensor by more than a quarter of its distance.
 /// @param target_scene scene in which the actor is placed
 /// @param actor_scene scene that contains the actor with the track `actor_track`
 /// @throws UsageError naming the position if the background has no level surface below
@@ -70,9 +67,9 @@ NewActorMotion compute_motion_on_ground(const SceneWithLogView& target_scene,
                                         const GroundPlacement& placement, const SceneWithLogView& actor_scene,
                                         const std::string& actor_track);
 
-/// Removes an actor and its track. Rays then hit the surfaces behind the actor.
-/// @throws UsageError if no instance has this track. The message suggests the most
-/// similar name. All functions below with a parameter `track` throw this error too.
+/// Rays then hit the surfaces behind the actor.
+/// @throws UsageError if no instance has this track, like all functions below with a
+/// parameter `track`
 SceneWithLog remove_track(SceneWithLog scene_and_log, const std::string& track);
 
 /// Moves an actor by a constant offset relative to its box (x forward, y left, z up,
@@ -86,9 +83,8 @@ SceneWithLog move_track(SceneWithLog scene_and_log, const std::string& track,
 /// appears earlier. The actor is absent outside the time interval of the shifted track.
 SceneWithLog delay_track(SceneWithLog scene_and_log, const std::string& track, double delay_s);
 
-/// Mirrors surfels to the unobserved sides of vehicles whose tracks differ from those
-/// before the edits. An actor that was moved there and back keeps its surfels and gets
-/// exactly its old track.
+/// Mirrors surfels to the unobserved sides of vehicles whose tracks have changed. An
+/// actor that was moved there and back gets exactly its old track.
 /// @param boxes_before boxes of the log before all edits
 SceneWithLog complete_moved_actors(SceneWithLog scene_and_log, const std::vector<BoxTrack>& boxes_before);
 
@@ -109,10 +105,9 @@ SceneWithLog replace_trajectory(SceneWithLog scene_and_log, const std::string& t
 /// first copy of track "0" gets the name "0-copy-1".
 SceneWithLog copy_track(SceneWithLog scene_and_log, const std::string& track, const NewActorMotion& start);
 
-/// Adds an actor from another scene at the end of the instance list. The actor keeps its
-/// track name if the name is free. Otherwise "0" becomes "0-insert-1". Its spherical
-/// harmonics above the new scene's degree are ignored. Its intensities are not converted:
-/// they are those of the sensor that recorded the actor.
+/// Adds an actor from another scene at the end of the instance list. If its track name is
+/// not free, "0" becomes "0-insert-1". Its spherical harmonics above the new scene's
+/// degree are ignored, its intensities are those of the sensor that recorded it.
 SceneWithLog insert_track(SceneWithLog scene_and_log, const SceneWithLog& source_scene,
                           const std::string& track, const NewActorMotion& start);
 

@@ -65,11 +65,9 @@ struct TrainedRun {
     void replace_driving_scene(SceneWithLog driving_scene);
 };
 
-/// Writes settings, scene, network and all other files of a run. A new folder appears
-/// only when it is complete. In an existing folder, all new files are first written under
-/// temporary names and then renamed. The earlier run stays valid until the files are
-/// renamed. Block files in other folders are hard-linked to blocks/NNN/model.safetensors,
-/// or copied if the file system does not support hard links.
+/// A new folder appears only when it is complete. In an existing folder, all new files
+/// are first written under temporary names and then renamed. Block files in other folders
+/// are hard-linked to blocks/NNN/model.safetensors, or copied.
 /// @throws DataError if the folder cannot be created or written, or if an option that is
 /// not a setting differs from its preset value
 void save_run(const TrainedRun& run);
@@ -93,9 +91,8 @@ TrainedRun load_run(const std::filesystem::path& folder);
 
 /// Saves a scene as safetensors: mean [n,3], rotation [n,4], log_scale [n,2],
 /// opacity_logit [n], sh [n,3,16], and for 3D Gaussians log_scale_w [n]. The metadata
-/// contain the name of the primitive, the models and the instances. They also list the
-/// files of the scene's blocks. The block files are not written here and must be in or
-/// below the same folder.
+/// contain the primitive, the models, the instances and the files of the blocks, which
+/// must be in or below the same folder and are not written.
 /// @throws DataError if an array has the wrong shape or a value that is not finite, or if
 /// the file cannot be written
 void save_scene_to_model_file(const std::filesystem::path& path, const Scene& scene);

@@ -95,15 +95,13 @@ struct EvaluationResult {
     double mrays_per_s = 0.0;
 };
 
-/// Copies scans of the log on which a run was trained. The poses of the run do not
-/// change.
+/// The poses of the run do not change.
 /// @param frame_indices  indices into TrainedRun::sequence of the frames
 /// @throws DataError if a frame is missing in the log, or has another time in the log
 void copy_scans_into_run(TrainedRun& run, const std::vector<int>& frame_indices, const LidarSequence& log);
 
-/// Renders a frame at the pose of the real sensor. With the native grid, the rays are
-/// those of the real scan. With another grid, the simulated points are binned like the
-/// real points.
+/// Renders a frame at the pose of the real sensor, along the rays of the real scan or
+/// binned into another grid like the real points.
 /// @param sensor_offset  pose of the sensor that made frame.scan, in the frame of the
 /// log's sensor
 ScoredFrame render_and_score_frame(ScanRenderer& renderer, const Config& config,

@@ -1,8 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Metrics that compare a rendered range image with a measured range image, for the full
-// image and by region. docs/method.md section 8 defines the two protocols, "peer" and
-// "strict". This file also declares the baseline: neighbouring measured scans, moved to
-// the pose of the sensor.
+// Metrics that compare a rendered range image with a measured range image. docs/method.md
+// section 8 defines the two protocols, "peer" and "strict". Also declares the baseline:
+// neighbouring measured scans, moved to the pose of the sensor.
 #pragma once
 
 #include <array>
@@ -85,8 +84,7 @@ MetricValues evaluate(const RangeImage& rendered, const RangeImage& real, const 
 MetricValues evaluate_regions(const RangeImage& rendered, const RangeImage& real,
                               const std::vector<PixelRegion>& regions, const MetricOptions& options = {});
 
-/// Returns the sets of pixels that reports score separately: all, moving_boxes, static,
-/// and the range bands range_0_20_m, range_20_40_m, range_40_80_m.
+/// all, moving_boxes, static, range_0_20_m, range_20_40_m, range_40_80_m
 /// @param moving_pixels [rows*columns] true for pixels whose return is in a moving box
 std::vector<PixelRegion> make_evaluation_regions(const RangeImage& real,
                                                  const std::vector<bool>& moving_pixels);
@@ -101,9 +99,9 @@ std::vector<bool> mask_returns_in_labelled_movers(const LidarSequence& sequence,
 std::vector<bool> mask_returns_in_discovered_movers(const LidarSequence& sequence, const LidarFrame& frame,
                                                     const Pose& sensor_offset = {});
 
-/// Scores the points that are written to point cloud files. Their ranges can differ from
-/// the ranges of the image. Computes the metrics strict/depth_*, strict/cd_* and
-/// strict/f_* of evaluate(), but each name begins with points/ instead of strict/.
+/// Scores the points that are written to point cloud files, whose ranges can differ from
+/// those of the image: strict/depth_*, strict/cd_* and strict/f_* of evaluate(), with
+/// points/ instead of strict/.
 /// @throws DataError like evaluate()
 MetricValues evaluate_points(const RangeImage& rendered, const RangeImage& real,
                              const MetricOptions& options = {});
@@ -135,12 +133,11 @@ std::vector<MetricValues> evaluate_all(const std::vector<RangeImageComparison>& 
 /// with their boxes, and are left out if the box has left the scene.
 enum class BoxPointMotion { stay, follow };
 
-/// Computes the baseline: moves the returns of the nearest earlier and later training
-/// frames of the same LiDAR into another sweep. Each point is moved to the time at which
-/// the head of the LiDAR faces it:
-///   p_sensor(t) = sensor_from_world(t) p_world,  t = compute_time_when_lidar_faces_point_s(p_sensor)
-/// The result is not an image. It has one ray for each point, and the ray starts at the
-/// sensor origin.
+/// Moves the returns of the nearest earlier and later training frames of the same LiDAR
+/// into another sweep:
+///   p_sensor(t) = sensor_from_world(t) p_world
+///   t = compute_time_when_lidar_faces_point_s(p_sensor)
+/// The result is a list of rays that start at the sensor origin.
 /// @param predicted_frame_index  index of the sweep in sequence.frames; its scan is not
 /// read
 /// @param train_frames  indices of the training frames, with their scans
@@ -162,9 +159,8 @@ struct LpipsWeights {
     std::array<std::vector<float>, 5> bias;    ///< [out] of each convolution
     std::array<std::vector<float>, 5> linear;  ///< [out] weights of the channels of each convolution
 };
-/// Reads the weights of LPIPS from a safetensors file, in half or single precision. The
-/// arrays are conv{0..4}.weight, conv{0..4}.bias and lin{0..4}.weight. The constructor of
-/// Lpips, not this function, checks the sizes of the arrays.
+/// Reads conv{0..4}.weight, conv{0..4}.bias and lin{0..4}.weight from a safetensors file,
+/// in half or single precision. The constructor of Lpips checks the sizes.
 /// @throws DataError if the file is damaged or an array is missing
 LpipsWeights read_lpips_weights(const std::filesystem::path& path);
 
@@ -180,21 +176,18 @@ public:
     /// @throws DataError if an array has another size or a value that is not finite
     explicit Lpips(LpipsWeights weights);
     ~Lpips();
-    /// Returns the distance between two images for each of the five layers.
-    /// @param first_image [3,rows,columns] values intended for -1..1; other values are
-    /// not clamped
-    /// @param second_image [3,rows,columns] like `first_image`
+    /// @param first_image, second_image [3,rows,columns] values intended for -1..1, not
+    /// clamped
+    /// @return of the five layers
     /// @throws DataError if an array has another size, or the image is below 31 x 31
     /// pixels, so that pooling leaves no pixel
     std::array<double, 5> compute_lpips_layer_distances(const std::vector<float>& first_image,
                                                         const std::vector<float>& second_image, int rows,
                                                         int columns) const;
-    /// Returns the distance between two images with a single channel, summed over all
-    /// layers. The channel is repeated three times. Values are mapped from 0..1 to -1..1
-    /// by x -> 2 x - 1, without clamping, like `normalize` in the published code.
-    /// Published tables for LiDAR use ranges in metres as values.
-    /// @param first_image [rows*columns]
-    /// @param second_image [rows*columns]
+    /// For images with a single channel, which is repeated three times, summed over all
+    /// layers. Values are mapped by x -> 2 x - 1, without clamping, like `normalize` in
+    /// the published code. Published tables for LiDAR use ranges in metres.
+    /// @param first_image, second_image [rows*columns]
     double compute_perceptual_distance(const std::vector<double>& first_image,
                                        const std::vector<double>& second_image, int rows, int columns) const;
 
@@ -203,16 +196,14 @@ private:
     std::unique_ptr<Impl> impl_;
 };
 
-/// Returns the structural similarity of two images with the defaults of scikit-image:
-/// uniform 7 x 7 window, sample covariance, borders of 3 pixels cropped.
-/// @param first_image [rows*columns]
-/// @param second_image [rows*columns]
+/// Structural similarity with the defaults of scikit-image: uniform 7 x 7 window, sample
+/// covariance, borders of 3 pixels cropped.
+/// @param first_image, second_image [rows*columns]
 /// @throws DataError if the image is below 7 x 7 pixels or data_range is not positive
 double compute_ssim(const std::vector<double>& first_image, const std::vector<double>& second_image, int rows,
                     int columns, double data_range);
 
-/// Returns the exact distance from each query point to the nearest target point. Uses all
-/// cores.
+/// Exact distance from each query point to the nearest target point. Uses all cores.
 /// @return [n] metres
 /// @throws DataError if there is no target point or a coordinate is not finite
 std::vector<double> compute_nearest_distances(const std::vector<glm::dvec3>& query_points,

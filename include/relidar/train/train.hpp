@@ -1,7 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Training of a scene, which can be stopped and resumed. After the initialisation, each
-// iteration renders one frame and compares the rendering with the measured scan. It then
-// computes gradients and updates the parameters.
+// Training of a scene, which can be stopped and resumed.
 #pragma once
 
 #include <array>
@@ -45,17 +43,13 @@ struct TrainProgress {
     DensifyReport densified;
 };
 
-/// Poses that training has corrected (train.refine_poses), of both training and held-out
-/// scans.
-///
-/// prepare_log_for_training() registers the poses before training. It registers a
-/// held-out scan by matching its points with the planes of the training scans. Training
-/// does not use held-out scans in any other way. Later, gradients correct a held-out pose
-/// only indirectly. With a rolling shutter, these gradients come from rays of
-/// neighbouring sweeps that were fired between the held-out pose and the next pose.
-/// Without a rolling shutter, the corrections of the neighbouring poses are interpolated.
-/// Registration of the sensor also moves all boxes. Gradients change boxes only if
-/// refine_poses includes actors.
+/// Poses of training and held-out scans that training has corrected (train.refine_poses).
+/// prepare_log_for_training() registers a held-out scan by matching its points with the
+/// planes of the training scans. Training does not use held-out scans in any other way.
+/// Gradients then correct a held-out pose only indirectly: with a rolling shutter by rays
+/// of neighbouring sweeps fired between it and the next pose, otherwise by interpolation
+/// of neighbouring corrections. Registration of the sensor also moves all boxes.
+/// Gradients change boxes only if refine_poses includes actors.
 struct RefinedPoses {
     PoseTrack world_from_vehicle;
     std::vector<BoxTrack> boxes;
@@ -128,10 +122,8 @@ void prepare_log_for_training(LidarSequence& sequence, const TrainTestSplit& spl
 /// Trains a scene on the training frames of a prepared log. Existing checkpoints are kept
 /// if an error occurs.
 /// @throws UsageError if the session's checkpoint does not match the settings
-/// @throws DataError if there is no training frame
-/// @throws DataError if a loss is not finite. The message names iteration, frame and
-/// term.
-/// @throws DataError if a parameter is not finite. The message names array and row.
+/// @throws DataError if there is no training frame, if a loss is not finite (naming
+/// iteration, frame and term), or if a parameter is not finite (naming array and row)
 /// @throws DeviceError if the device fails
 TrainResult train(Device& device, const LidarSequence& sequence, const TrainTestSplit& split,
                   const Config& config, const TrainProgressCallback& progress = {},
@@ -149,15 +141,12 @@ struct HeldOutPoseReport {
     double median_m = 0.0, largest_m = 0.0;
 };
 
-/// Corrects the pose of each held-out scan by registering its points to the trained
-/// scene. The run's sequence must contain the scans. This correction is needed because
-/// training has corrected the neighbouring poses but not the poses of held-out scans.
-/// Only the poses of held-out frames change. The scene stays unchanged. LiDARs that sweep
-/// at the same time are registered together.
-///
+/// Registers the points of each held-out scan to the trained scene, because training has
+/// corrected the neighbouring poses only. LiDARs that sweep at the same time are
+/// registered together. The run's sequence must contain the scans.
 /// Does nothing if the settings do not register the sensor (train.refine_poses), or for
-/// 3D Gaussians, which have no normals. Sets TrainedRun::held_out_placed if it was not
-/// stopped. If it was stopped, no pose changes.
+/// 3D Gaussians, which have no normals. Sets TrainedRun::held_out_placed. If it was
+/// stopped, no pose changes.
 HeldOutPoseReport estimate_held_out_vehicle_poses(Device& device, TrainedRun& run,
                                                   const HeldOutPoseCallbacks& session = {});
 
@@ -183,24 +172,21 @@ struct RayDropTrainingSession {
 inline constexpr const char* kRefineCheckpoints = "drop_network";
 
 /// Trains a ray-drop network with the options config.refine on the training frames of a
-/// run. The run's sequence must contain the scans. The frames are rendered once with the
-/// nominal rays of the sensor, because the measured rays of a scan reveal which rays
-/// returned. A resumed training renders the frames again. It gives the same network, bit
-/// by bit, as an uninterrupted training on the same device.
+/// run, whose sequence must contain the scans. The frames are rendered with the nominal
+/// rays of the sensor, because the measured rays of a scan reveal which rays returned. A
+/// resumed training gives the same network, bit by bit, on the same device.
 /// @return empty network if stopped
-/// @throws DataError if no training frame has an image, or if no training frame has a
-/// dropped ray
+/// @throws DataError if no training frame has an image or a dropped ray
 /// @throws errors of require_network_training_is_resumable() if the session resumes from
 /// a checkpoint
 RayDropNetwork train_ray_drop_network_of_run(Device& device, const TrainedRun& run,
                                              const RayDropTrainingSession& session = {});
 
-/// Checks that the training of a ray-drop network can resume with this run. The run's
-/// sequence must contain the scans of its training frames. Scene, log and the relevant
-/// settings (refine.*, image.*, sensor.*, init.*, render.range, train.seed) must match
-/// the checkpoint.
-/// @throws UsageError if a setting differs. The message names the setting.
-/// @throws DataError if the log or scene differs. The message names the differing part.
+/// The run's sequence must contain the scans of its training frames. Scene, log and the
+/// relevant settings (refine.*, image.*, sensor.*, init.*, render.range, train.seed) must
+/// match the checkpoint.
+/// @throws UsageError naming a setting that differs
+/// @throws DataError naming the part of the log or scene that differs
 void require_network_training_is_resumable(const Checkpoint& checkpoint, const TrainedRun& run);
 /// Settings that affect the network.
 /// @throws UsageError for a setting that this version does not know
@@ -229,29 +215,23 @@ struct ActorTrainingCallbacks {
     std::function<bool()> stop = {};
 };
 
-/// Trains the actors of a run whose background is divided into blocks. The run's sequence
-/// must contain the scans. Each training frame that shows an actor is used
-/// blocks.actor_epochs times.
-///
-/// This step is needed because the training of a block uses only the surroundings of its
-/// own sweeps. Here the actors are trained in front of the joined background of all
-/// blocks, which stays unchanged. Only rays near an actor's box are traced, against the
-/// background surfels along these rays. The number of surfels stays constant.
-/// The run is unchanged if the training was stopped.
+/// Trains the actors of a run in blocks in front of the joined background, which stays
+/// unchanged, because the training of a block uses only the surroundings of its own
+/// sweeps. Each training frame that shows an actor is used blocks.actor_epochs times,
+/// with the rays near its box and the background surfels along these rays. The run's
+/// sequence must contain the scans. The run is unchanged if the training was stopped.
 /// @throws DataError if a block cannot be read or a loss is not finite
 TrainingEndReason train_actors(Device& device, TrainedRun& run, const ActorTrainingCallbacks& session = {});
 
 /// Scene, coverage and corrected poses (if any).
 void move_result_into_run(TrainedRun& run, TrainResult& result);
 
-/// Checks that a training can resume with this log and these settings. train.iterations
-/// may be increased. The learning rates then follow the longer schedule from the current
-/// iteration. These settings may also differ: dataset.path, dataset.sequence,
-/// dataset.poses, dataset.memory_mib, train.frame_memory_mib, train.log_every,
-/// train.checkpoint_minutes, sensor.grid, sensor.grid_method, refine.*, render.* and
-/// trace.chunk.
-/// @throws UsageError if another setting differs. The message names the setting.
-/// @throws DataError if the log differs. The message names the differing part.
+/// train.iterations may be increased; the learning rates then follow the longer schedule.
+/// These settings may also differ: dataset.path, dataset.sequence, dataset.poses,
+/// dataset.memory_mib, train.frame_memory_mib, train.log_every, train.checkpoint_minutes,
+/// sensor.grid, sensor.grid_method, refine.*, render.* and trace.chunk.
+/// @throws UsageError naming another setting that differs
+/// @throws DataError naming the part of the log that differs
 void require_training_is_resumable(const Checkpoint& checkpoint, const LidarSequence& sequence,
                                    const TrainTestSplit& split, const Config& config);
 /// The first setting whose difference prevents resuming. Empty if none does.
