@@ -42,7 +42,7 @@ compare() {
         node "$tests/read_recordings.cjs" "$readers" "$run" "$folder" "$name/truth" $sensors
         code=$?
         [[ $code != 77 ]] || exit 77
-        [[ $code == 0 ]] || fail "$folder: recordings"
+        check "$folder: recordings" test "$code" = 0
     done
 }
 
