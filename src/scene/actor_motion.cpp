@@ -9,18 +9,15 @@
 namespace relidar {
 namespace {
 
-// Assumed maximum difference, in radians, between the azimuth of a beam and the azimuth
-// that the rotating LiDAR head faces.
+// Assumed maximum difference between the azimuth of a beam and of the rotating head.
 constexpr double kBeside_rad = 0.17;
-// A box covers a range of azimuths in the view of the sensor. The range is widened on
-// each side by this share of its half width, because the sensor and the box move during
-// the scan.
+// The azimuths that a box covers are widened on each side by this share of their half
+// width, because the sensor and the box move during the scan.
 constexpr double kBesideShare = 0.25;
-// The time span of an actor's motion is lengthened by this share, because real LiDAR
-// heads deviate from the nominal firing times.
+// The time span of a motion is lengthened by this share, because real LiDAR heads deviate
+// from the nominal firing times.
 constexpr double kBeyond = 0.02;
-// Assumed maximum difference between a firing time and the reference time of a sweep, if
-// the firing times of the LiDAR are unknown.
+// Assumed maximum difference between a firing time and the time of a sweep, if unknown.
 constexpr double kUnknownSweep_s = 0.1;
 constexpr double kVelocityStep_s = 0.005;
 
@@ -45,8 +42,7 @@ TimeSpan compute_sweep_time_span(const LidarSequence& sequence, const SweepTimin
     return {sweep.time_s + double(*first), sweep.time_s + double(*last)};
 }
 
-/// Returns how many seconds the LiDAR needs to turn by one radian. Returns 0 if the LiDAR
-/// does not scan the azimuths in order.
+/// Returns 0 if the LiDAR does not scan the azimuths in order.
 double compute_seconds_per_radian(const Lidar& lidar) {
     if (!lidar.pattern) return lidar.sensor.period_s / (2.0 * kPi);
     const ScanPatternSummary summary = summarise_scan_pattern(*lidar.pattern);
@@ -70,9 +66,8 @@ double compute_half_azimuth_width_rad(const Pose& sensor_from_box, const glm::dv
     return largest;
 }
 
-/// Returns the time interval in which the rotating LiDAR head faces a box, so that its
-/// rays can hit the box. If this interval is unknown or extends beyond the sweep, returns
-/// the time interval of the full sweep.
+/// Returns the time interval in which the head faces a box. Returns the time of the full
+/// sweep if the interval is unknown or extends beyond the sweep.
 TimeSpan compute_time_span_when_lidar_faces_box(const LidarSequence& sequence,
                                                 const PoseTrack& world_from_box,
                                                 const glm::dvec3& half_size_m, const SweepTiming& sweep) {
@@ -101,8 +96,7 @@ InstancePose compute_box_pose_in_sweep(const LidarSequence& sequence, const Pose
     const TimeSpan span =
         compute_time_span_when_lidar_faces_box(sequence, world_from_box, half_size_m, sweep);
     const double half_s = 0.5 * (span.last_s - span.first_s), middle_s = 0.5 * (span.first_s + span.last_s);
-    // If all rays fire at the same time, the pose of the actor is constant. Its velocity
-    // is then measured between `kVelocityStep_s` before and after this time.
+    // If all rays fire at the same time, the pose of the actor is constant.
     const bool moves = half_s > 0.0;
     const TimeSpan measured = moves ? span : TimeSpan{middle_s - kVelocityStep_s, middle_s + kVelocityStep_s};
     const Pose first = world_from_box.interpolate_pose(measured.first_s),

@@ -22,60 +22,42 @@
 namespace relidar {
 namespace {
 
-// Margins in metres around the boxes of people and of vehicles. A second track inside the
-// margin is treated as a part of the same object.
+// A second track inside this margin around the box of a person or vehicle is a part of the
+// same object.
 constexpr double kFragment_m = 0.5, kVehicleFragment_m = 1.0;
-// minimum number of points of a moving object per frame, after static points are removed
+// minimum number of points per frame after static points are removed
 constexpr std::size_t kFewestPoints = 5;
 constexpr double kLongest_m = 20.0, kWidest_m = 3.2, kTallest_m = 4.5;
 constexpr double kSlowest_mps = 0.4, kFastest_mps = 50.0;
 constexpr double kVehicle_m = 1.2;  // objects that are at least this long are vehicles, not people
-// Minimum distance that a moving object must travel, as a multiple of the longer side of
-// its box. A static object can seem to travel a shorter distance, because its visible
-// part changes.
+// Minimum travel as a multiple of the longer side of the box. A static object can seem to
+// travel a shorter distance, because its visible part changes.
 constexpr double kMinTravelPerSize = 0.9;
 constexpr double kStraightness = 0.5;  // minimum ratio of net motion to path length
-// Maximum rotation of a vehicle: radians per metre of its path, plus a constant angle. A
-// vehicle cannot turn on the spot.
+// Maximum rotation of a vehicle per metre of its path, plus a constant angle.
 constexpr double kMaxRotationPer_m = 0.4, kMaxExtraRotation_rad = 0.5;
 
-/// Motion of a box: the distance from the first to the last position, the length of the
-/// path, and the total turn.
-struct BoxTravel {
-    double net_m = 0.0, path_m = 0.0, rotation_rad = 0.0;
-};
-BoxTravel compute_track_travel(const PoseTrack& track) {
-    BoxTravel travel;
-    for (std::size_t i = 1; i < track.pose.size(); ++i) {
-        travel.path_m += glm::distance(track.pose[i - 1].translation, track.pose[i].translation);
-        travel.rotation_rad +=
-            glm::angle(glm::normalize(glm::inverse(track.pose[i - 1].rotation) * track.pose[i].rotation));
-    }
-    travel.net_m = glm::distance(track.pose.front().translation, track.pose.back().translation);
-    return travel;
-}
-
-/// Returns true if the size, the speed and the motion of a box are plausible. Requires a
-/// motion larger than the apparent motion of a static object whose visible part changes.
+/// Returns true if the size, the speed and the motion of a box are plausible.
 bool is_plausible_moving_box(const BoxTrack& box) {
     const std::vector<double> speeds = compute_speeds_mps(box);
     const double fastest = speeds.empty() ? 0.0 : std::ranges::max(speeds),
                  longest = std::max(box.size_m.x, box.size_m.y);
-    const BoxTravel travel = compute_track_travel(box.world_from_box);
+    const std::vector<Pose>& poses = box.world_from_box.pose;
+    double path_m = 0.0, rotation_rad = 0.0;
+    for (std::size_t i = 1; i < poses.size(); ++i) {
+        path_m += glm::distance(poses[i - 1].translation, poses[i].translation);
+        rotation_rad += glm::angle(glm::normalize(glm::inverse(poses[i - 1].rotation) * poses[i].rotation));
+    }
+    const double net_m = glm::distance(poses.front().translation, poses.back().translation);
     const bool turns_on_the_spot =
-        longest > kVehicle_m &&
-        travel.rotation_rad > kMaxExtraRotation_rad + kMaxRotationPer_m * travel.path_m;
+        longest > kVehicle_m && rotation_rad > kMaxExtraRotation_rad + kMaxRotationPer_m * path_m;
     return box.size_m.x < kLongest_m && box.size_m.y < kWidest_m && box.size_m.z < kTallest_m &&
-           fastest > kSlowest_mps && fastest < kFastest_mps && travel.net_m > kMinTravelPerSize * longest &&
-           travel.net_m > kStraightness * travel.path_m &&
-           // `is_moving()` averages positions over time, so that jitter does not count as
-           // motion.
-           !turns_on_the_spot && box.is_moving();
+           fastest > kSlowest_mps && fastest < kFastest_mps && net_m > kMinTravelPerSize * longest &&
+           net_m > kStraightness * path_m && !turns_on_the_spot && box.is_moving();
 }
 
 /// Fits a box to a track if other frames prove that the object moved. First removes the
-/// returns at positions that are also occupied in other frames. Returns nothing if there
-/// is no proof, or if the motion is implausible.
+/// returns at positions that are also occupied in other frames.
 std::optional<BoxTrack> fit_box_if_motion_proven(const VisibilityChecker& visibility, MoverTrack& track) {
     TrackMotionEvidence sum;
     const BoxTrack box = fit_box_to_track(track);
@@ -92,18 +74,14 @@ std::optional<BoxTrack> fit_box_if_motion_proven(const VisibilityChecker& visibi
     return result;
 }
 
-/// Extends the track of a labelled box to the time before its first label and the time
-/// after its last label. Uses each of these two parts only if other frames prove that the
-/// object moved in this part. Returns nothing if no part can be used.
+/// Extends a labelled box to the times before its first and after its last label. Uses
+/// each of the two parts only if other frames prove that the object moved in it.
 std::optional<BoxTrack> extend_labelled_box_if_motion_proven(const VisibilityChecker& visibility,
                                                              MoverTrack& track,
                                                              const BoxTrack& labelled_box) {
     const BoxTrack box = extend_labelled_box_in_time(track, labelled_box);
     const double first_s = labelled_box.world_from_box.time_s.front();
     TrackMotionEvidence before, after;
-    const auto is_labelled = [](const MoverObservation& observation) {
-        return observation.cluster.label != kNoLabel;
-    };
     for (MoverObservation& o : track.observations)
         if (!is_labelled(o))
             (o.frame_time_s < first_s ? before : after) +=
@@ -125,8 +103,8 @@ struct BoxRecord {
     std::array<char, 16> size_guess;
 };
 
-/// Collects the boxes from all processes of the group. The box of a labelled track gets
-/// the id and the class of the label.
+/// Collects the boxes from all processes. A labelled track has the id and class of its
+/// label.
 std::vector<BoxTrack> gather_boxes_of_all_processes(const ProcessGroup& group,
                                                     const std::vector<MoverTrack>& tracks,
                                                     const std::vector<std::optional<BoxTrack>>& found_boxes,
@@ -165,8 +143,8 @@ std::vector<BoxTrack> gather_boxes_of_all_processes(const ProcessGroup& group,
     return boxes;
 }
 
-/// Returns the boxes of all objects that are proven to have moved. If several processes
-/// work together, each process checks a share of the tracks.
+/// Returns the boxes of all objects that are proven to have moved. Each process of the
+/// group checks a share of the tracks.
 std::vector<BoxTrack> fit_boxes_of_proven_moving_objects(VisibilityChecker& visibility,
                                                          std::vector<MoverTrack>& tracks,
                                                          const LidarSequence& sequence,
@@ -188,8 +166,8 @@ std::vector<BoxTrack> fit_boxes_of_proven_moving_objects(VisibilityChecker& visi
     return gather_boxes_of_all_processes(group, tracks, proven_boxes, share.begin, sequence);
 }
 
-/// Returns true if two boxes belong to the same object. For more than half of the time,
-/// the centre of `inner_box` must be inside `outer_box`, enlarged by a margin.
+/// Returns true if the centre of `inner_box` is inside the enlarged `outer_box` for more
+/// than half of the time.
 bool is_mostly_inside_box(const BoxTrack& inner_box, const BoxTrack& outer_box) {
     const double margin =
         std::max(outer_box.size_m.x, outer_box.size_m.y) < kVehicle_m ? kFragment_m : kVehicleFragment_m;
@@ -204,9 +182,8 @@ bool is_mostly_inside_box(const BoxTrack& inner_box, const BoxTrack& outer_box) 
 
 bool has_id_of_labelled_object(const BoxTrack& box) { return !box.id.empty(); }
 
-/// If several boxes belong to the same object, keeps one of them. Prefers a box with the
-/// id of a labelled object, then the box with the most observations. Boxes with the ids
-/// of different labelled objects are never duplicates.
+/// Keeps one box of each object. Prefers a box with the id of a labelled object, then the
+/// box with the most observations. Boxes with different such ids are never duplicates.
 std::vector<BoxTrack> remove_duplicate_boxes(std::vector<BoxTrack> boxes) {
     std::ranges::stable_sort(boxes, [](const BoxTrack& first, const BoxTrack& second) {
         return std::pair(has_id_of_labelled_object(first), first.world_from_box.time_s.size()) >
@@ -221,15 +198,11 @@ std::vector<BoxTrack> remove_duplicate_boxes(std::vector<BoxTrack> boxes) {
     return unique_boxes;
 }
 
-/// Returns true if a box should be fitted to a track. The track must belong to an
-/// unlabelled object that moves, or to a labelled object that was also observed outside
-/// the time of its labels.
+/// Returns true if the track belongs to an unlabelled object that moves, or to a labelled
+/// object that was also observed outside the time of its labels.
 bool should_fit_box(const MoverTrack& track, const PoseTrack& world_from_vehicle) {
-    if (track.label == kNoLabel)
-        return is_moving_track(track) && !is_fixed_to_vehicle(track, world_from_vehicle);
-    return !std::ranges::all_of(track.observations, [](const MoverObservation& observation) {
-        return observation.cluster.label != kNoLabel;
-    });
+    return track.label == kNoLabel ? is_moving_track(track) && !is_fixed_to_vehicle(track, world_from_vehicle)
+                                   : !std::ranges::all_of(track.observations, is_labelled);
 }
 
 /// Returns the boxes of the moving objects that one LiDAR observed.
@@ -250,10 +223,9 @@ std::vector<BoxTrack> discover_movers_of_lidar(int lidar_index, const LidarSeque
         fit_boxes_of_proven_moving_objects(visibility, tracks, sequence, progress, group));
 }
 
-/// Adds the boxes that another LiDAR found. If both LiDARs found the same object, prefers
-/// the box with the id of a labelled object. If both boxes or neither have such an id,
-/// keeps the box in `boxes`, unless the other has more than 1.5 times as many
-/// observations.
+/// Adds the boxes that another LiDAR found. Of two boxes of an object, prefers the one with
+/// the id of a labelled object. Otherwise keeps the box in `boxes`, unless the other has
+/// more than 1.5 times as many observations.
 void merge_boxes_of_lidars(std::vector<BoxTrack>& boxes, std::vector<BoxTrack> boxes_of_other_lidar) {
     for (BoxTrack& other : boxes_of_other_lidar) {
         const auto is_same = [&](const BoxTrack& b) {
@@ -279,8 +251,8 @@ std::vector<BoxTrack> discover_moving_object_tracks(const LidarSequence& sequenc
                                                     const ProgressReporter& progress,
                                                     const ProcessGroup& group) {
     std::vector<BoxTrack> boxes;
-    // Processes each LiDAR separately. If two LiDARs scanned at the same time, a joint
-    // search would add an object twice to one track.
+    // A joint search would add an object twice to one track if two LiDARs scanned at the
+    // same time.
     for (int lidar = 0; lidar < int(sequence.lidars.size()); ++lidar)
         merge_boxes_of_lidars(
             boxes, discover_movers_of_lidar(lidar, sequence, train_frame_indices, progress, group));

@@ -6,6 +6,7 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <optional>
 #include <utility>
 
 #include "scene/mover_path.hpp"
@@ -13,23 +14,19 @@
 namespace relidar {
 namespace {
 
-// Number of times that the path of an object is corrected. The first path follows the
-// centre of the visible points. This centre shifts when other sides of the object become
-// visible.
+// Number of corrections of a path. The centre of the visible points, which the first path
+// follows, shifts when other sides of the object become visible.
 constexpr int kRounds = 3;
-// The top of an object is its highest return within this many seconds before and after a
-// frame. The height of the road changes little in this time.
+// The top of an object is its highest return within this time before and after a frame.
 constexpr double kTop_s = 1.0;
 constexpr double kMargin_m = 0.1;  // added around the points of a box
-// Boxes are extended downwards by this length, because actors.cpp treats the lowest part
-// of each box as ground.
+// Boxes are extended downwards, because actors.cpp treats their lowest part as ground.
 constexpr double kGroundOfBox_m = 0.15;
 constexpr double kSpeedOver_s = 0.5;
-// Number of labelled observations from which the offset between a labelled box and the
-// visible points is computed.
+// Number of labels from which the offset between box and visible points is computed.
 constexpr std::size_t kLabelsPerEnd = 10;
-// If the sensor is more than this distance outside a box, measured along one axis of the
-// box, it sees only the near end of the object along this axis.
+// If the sensor is farther than this outside a box along one axis of the box, it sees only
+// the near end of the object along this axis.
 constexpr double kBeside_m = 0.5;
 
 /// Position and heading of an object on the ground. They define the frame of the object.
@@ -39,8 +36,7 @@ struct GroundPose {
     glm::dvec3 get_forward_axis() const { return {std::cos(yaw), std::sin(yaw), 0.0}; }
     glm::dvec3 get_lateral_axis() const { return {-std::sin(yaw), std::cos(yaw), 0.0}; }
     glm::dquat get_rotation() const { return {std::cos(0.5 * yaw), 0.0, 0.0, std::sin(0.5 * yaw)}; }
-    /// Transforms a point from the world frame into the frame of the object: x along the
-    /// heading, y to the left.
+    /// x along the heading, y to the left
     glm::dvec3 transform_to_object_frame(const glm::dvec3& world_point_m) const {
         const glm::dvec3 d = world_point_m - position_m;
         return {glm::dot(get_forward_axis(), d), glm::dot(get_lateral_axis(), d), d.z};
@@ -56,35 +52,25 @@ double get_yaw(const Pose& pose) {
     return std::atan2(forward.y, forward.x);
 }
 
-std::vector<glm::dvec3> list_positions(const std::vector<KinematicState>& path) {
+/// Returns the positions on a path with their headings: at the times of the observations,
+/// or at the reference times of their frames.
+std::vector<GroundPose> compute_ground_poses(const std::vector<KinematicState>& path, const MoverTrack& track,
+                                             bool at_frames = false) {
     std::vector<glm::dvec3> positions;
-    for (const KinematicState& state : path) positions.push_back(state.position_m);
-    return positions;
-}
-
-std::vector<GroundPose> compute_ground_poses_along(const std::vector<glm::dvec3>& path_m) {
-    const std::vector<double> yaw = compute_path_headings_rad(path_m);
+    for (std::size_t k = 0; k < path.size(); ++k)
+        positions.push_back(at_frames ? path[k].predict_position_after(track.observations[k].frame_time_s -
+                                                                       track.observations[k].cluster.time_s)
+                                      : path[k].position_m);
+    const std::vector<double> yaw = compute_path_headings_rad(positions);
     std::vector<GroundPose> placed;
-    for (std::size_t k = 0; k < path_m.size(); ++k) placed.push_back({path_m[k], yaw[k]});
+    for (std::size_t k = 0; k < path.size(); ++k) placed.push_back({positions[k], yaw[k]});
     return placed;
 }
 
-/// Returns the position and heading of the object at the reference time of each frame.
-std::vector<GroundPose> compute_ground_poses_at_frames(const MoverTrack& track,
-                                                       const std::vector<KinematicState>& path) {
-    std::vector<glm::dvec3> positions;
-    for (std::size_t k = 0; k < path.size(); ++k)
-        positions.push_back(path[k].predict_position_after(track.observations[k].frame_time_s -
-                                                           track.observations[k].cluster.time_s));
-    return compute_ground_poses_along(positions);
-}
-
-/// Interval that the points of an observation cover along an axis, without the outermost
-/// 0.5 % of the points at each end.
-struct AxisInterval {
-    double low, high;
-};
-AxisInterval compute_cluster_extent_along_axis(const MoverCluster& cluster, const glm::dvec3& axis) {
+/// Returns the interval that the points of an observation cover along an axis, without the
+/// outermost 0.5 % of the points at each end.
+std::pair<double, double> compute_cluster_extent_along_axis(const MoverCluster& cluster,
+                                                            const glm::dvec3& axis) {
     std::vector<double> values;
     for (const glm::dvec3& p : cluster.points_m) values.push_back(glm::dot(axis, p));
     std::sort(values.begin(), values.end());
@@ -92,26 +78,22 @@ AxisInterval compute_cluster_extent_along_axis(const MoverCluster& cluster, cons
     return {values[cut], values[values.size() - 1 - cut]};
 }
 
-/// Returns half the visible length of an object. Measures the length in each observation
-/// along its axis, and uses the 90th percentile.
-double estimate_visible_half_length_m(const MoverTrack& track, const std::vector<glm::dvec3>& axes) {
-    std::vector<double> lengths;
-    for (std::size_t k = 0; k < axes.size(); ++k) {
-        const auto [low, high] = compute_cluster_extent_along_axis(track.observations[k].cluster, axes[k]);
-        lengths.push_back(high - low);
-    }
-    std::sort(lengths.begin(), lengths.end());
-    return 0.5 * lengths[lengths.size() * 9 / 10];
-}
-
 /// Returns the position of an object's centre along an axis, for each observation. The
 /// visible end faces the sensor. The centre is half the object's size behind this end.
+/// @param size_m size along the axis; if empty, the 90th percentile of the visible sizes
 std::vector<double> compute_object_centres_along_axes(const MoverTrack& track,
                                                       const std::vector<glm::dvec3>& axes,
-                                                      double half_size_m) {
-    std::vector<double> centres;
+                                                      std::optional<double> size_m) {
+    std::vector<std::pair<double, double>> extents;
+    std::vector<double> lengths, centres;
     for (std::size_t k = 0; k < axes.size(); ++k) {
-        const auto [low, high] = compute_cluster_extent_along_axis(track.observations[k].cluster, axes[k]);
+        extents.push_back(compute_cluster_extent_along_axis(track.observations[k].cluster, axes[k]));
+        lengths.push_back(extents[k].second - extents[k].first);
+    }
+    std::sort(lengths.begin(), lengths.end());
+    const double half_size_m = 0.5 * size_m.value_or(lengths[lengths.size() * 9 / 10]);
+    for (std::size_t k = 0; k < axes.size(); ++k) {
+        const auto [low, high] = extents[k];
         const double sensor = glm::dot(axes[k], track.observations[k].sensor_m);
         double centre = 0.5 * (low + high);
         if (sensor > high) centre = high - half_size_m;
@@ -121,13 +103,12 @@ std::vector<double> compute_object_centres_along_axes(const MoverTrack& track,
     return centres;
 }
 
-/// Returns the height of the object's top for each observation. Uses the highest return
-/// within one second before and after, because beams can miss the top of a distant
-/// object.
+/// Returns the height of the object's top for each observation. Beams can miss the top of
+/// a distant object, so neighbouring observations count too.
 std::vector<double> compute_top_heights_m(const MoverTrack& track) {
     std::vector<double> observed_tops_m, result;
     for (const MoverObservation& o : track.observations)
-        observed_tops_m.push_back(compute_cluster_extent_along_axis(o.cluster, {0.0, 0.0, 1.0}).high);
+        observed_tops_m.push_back(compute_cluster_extent_along_axis(o.cluster, {0.0, 0.0, 1.0}).second);
     for (const MoverObservation& o : track.observations) {
         double top = -1e30;
         for (std::size_t j = 0; j < observed_tops_m.size(); ++j)
@@ -139,67 +120,59 @@ std::vector<double> compute_top_heights_m(const MoverTrack& track) {
 }
 
 /// Returns the position of the object in each observation: its centre in x and y, and its
-/// top in z. Only the end that faces the sensor is visible. Seen from the sensor, the
-/// centre is half the object's length (or width) behind this end.
-/// @param size_m_or_null length and width; if null, the visible size is used
+/// top in z.
+/// @param size_m length and width; if empty, the visible size is used
 std::vector<glm::dvec3> estimate_positions_from_visible_sides(const MoverTrack& track,
                                                               const std::vector<GroundPose>& ground_poses,
-                                                              const glm::dvec3* size_m_or_null) {
+                                                              std::optional<glm::dvec2> size_m = {}) {
     std::vector<glm::dvec3> along, across, positions_m;
     for (const GroundPose& p : ground_poses) {
         along.push_back(p.get_forward_axis());
         across.push_back(p.get_lateral_axis());
     }
-    const std::vector<double> x = compute_object_centres_along_axes(
-        track, along,
-        size_m_or_null ? 0.5 * size_m_or_null->x : estimate_visible_half_length_m(track, along));
-    const std::vector<double> y = compute_object_centres_along_axes(
-        track, across,
-        size_m_or_null ? 0.5 * size_m_or_null->y : estimate_visible_half_length_m(track, across));
+    const auto size_of = [&](int axis) { return size_m ? std::optional((*size_m)[axis]) : std::nullopt; };
+    const std::vector<double> x = compute_object_centres_along_axes(track, along, size_of(0)),
+                              y = compute_object_centres_along_axes(track, across, size_of(1));
     const std::vector<double> top = compute_top_heights_m(track);
     for (std::size_t k = 0; k < ground_poses.size(); ++k)
         positions_m.push_back(x[k] * along[k] + y[k] * across[k] + glm::dvec3(0.0, 0.0, top[k]));
     return positions_m;
 }
 
-/// Corners of the box around all returns of a track, in the frame of the object. Ignores
-/// the outermost 1 % of the points at each end, and adds a margin.
-struct BoxCorners {
-    glm::dvec3 low, high;
-};
-BoxCorners compute_bounding_corners(const MoverTrack& track, const std::vector<GroundPose>& ground_poses) {
+/// Returns the low and high corner of the box around all returns of a track, in the frame
+/// of the object. Ignores the outermost 1 % of the points at each end, and adds a margin.
+std::pair<glm::dvec3, glm::dvec3> compute_bounding_corners(const MoverTrack& track,
+                                                           const std::vector<GroundPose>& ground_poses) {
     std::vector<double> along[3];
     for (std::size_t k = 0; k < track.observations.size(); ++k)
         for (const glm::dvec3& p : track.observations[k].cluster.points_m) {
             const glm::dvec3 local = ground_poses[k].transform_to_object_frame(p);
             for (int axis = 0; axis < 3; ++axis) along[axis].push_back(local[axis]);
         }
-    BoxCorners corners;
+    glm::dvec3 low, high;
     for (int axis = 0; axis < 3; ++axis) {
         std::sort(along[axis].begin(), along[axis].end());
         const std::size_t cut = along[axis].size() / 100;
-        corners.low[axis] = along[axis][cut] - kMargin_m;
-        corners.high[axis] = along[axis][along[axis].size() - 1 - cut] + kMargin_m;
+        low[axis] = along[axis][cut] - kMargin_m;
+        high[axis] = along[axis][along[axis].size() - 1 - cut] + kMargin_m;
     }
-    corners.low.z -= kGroundOfBox_m;
-    return corners;
+    low.z -= kGroundOfBox_m;
+    return {low, high};
 }
 
 /// Typical size of an object of which only one side is visible. Passenger cars are 3.6 to
 /// 5 m long and 1.6 to 1.9 m wide. A bicycle is 1.8 m long and its rider 0.6 m wide. The
-/// length of a truck or a bus cannot be estimated from its rear. The length of a light
-/// truck is used instead, because a longer truck would also show its side.
+/// length of a truck or a bus cannot be estimated from its rear. A longer truck would also
+/// show its side.
 struct TypicalObjectSize {
     const char* name;
     double length_m, width_m;
-    /// Minimum length and width of an object whose sides are all visible. If a box is
-    /// smaller, only one side of the object was visible.
+    /// Minimum length and width if all sides of the object are visible.
     double least_length_m, least_width_m;
 };
 constexpr TypicalObjectSize kCar{"car", 4.2, 1.8, 3.4, 1.5}, kCyclist{"cyclist", 1.8, 0.6, 1.4, 0.0},
     kTruck{"truck", 7.0, 2.4, 3.4, 1.5};
-// Minimum speed of a vehicle in m/s. Slower objects can be pedestrians, who look like a
-// car if they walk side by side.
+// Slower objects can be pedestrians, who look like a car if they walk side by side.
 constexpr double kDrives_mps = 2.5;
 constexpr double kTruck_m = 2.5;  // objects taller than this are trucks
 // Maximum width and minimum height of an object that counts as a cyclist.
@@ -218,26 +191,18 @@ double compute_sign_of_side_facing_sensor(const BoxTrack& box, const MoverTrack&
     return high > most ? 1.0 : 0.0;
 }
 
-bool is_labelled(const MoverObservation& observation) { return observation.cluster.label != kNoLabel; }
-
 double median(std::vector<double> values) {
     std::nth_element(values.begin(), values.begin() + std::ptrdiff_t(values.size() / 2), values.end());
     return values[values.size() / 2];
 }
 
-/// Offset of a labelled box from the visible points of its object. Holds a translation in
-/// the frame of the object and a rotation about z.
-struct LabelBoxOffset {
-    glm::dvec3 local_m{0.0};
-    double yaw = 0.0;
-};
-/// Returns the median offset between a labelled box and the visible points of its object.
+/// Returns the median pose of a labelled box in the frame of the visible points.
 /// @param observation_indices indices of the labelled observations to use
-LabelBoxOffset estimate_median_label_box_offset(const MoverTrack& track,
-                                                const std::vector<std::size_t>& observation_indices,
-                                                const std::vector<GroundPose>& ground_poses,
-                                                const std::vector<glm::dvec3>& positions_m,
-                                                const BoxTrack& labelled_box) {
+GroundPose estimate_median_label_box_offset(const MoverTrack& track,
+                                            const std::vector<std::size_t>& observation_indices,
+                                            const std::vector<GroundPose>& ground_poses,
+                                            const std::vector<glm::dvec3>& positions_m,
+                                            const BoxTrack& labelled_box) {
     std::vector<double> values[4];
     for (const std::size_t k : observation_indices) {
         const Pose pose = labelled_box.world_from_box.interpolate_pose(track.observations[k].cluster.time_s);
@@ -257,11 +222,10 @@ BoxTrack fit_box_to_track(const MoverTrack& track) {
     for (const MoverObservation& o : track.observations) positions_m.push_back(o.cluster.centre_m);
     std::vector<KinematicState> path = smooth_path(times, positions_m);
     for (int round = 0; round < kRounds; ++round)
-        path = smooth_path(times, estimate_positions_from_visible_sides(
-                                      track, compute_ground_poses_along(list_positions(path)), nullptr));
-    const auto [low, high] =
-        compute_bounding_corners(track, compute_ground_poses_along(list_positions(path)));
-    const std::vector<GroundPose> at_frames = compute_ground_poses_at_frames(track, path);
+        path = smooth_path(times,
+                           estimate_positions_from_visible_sides(track, compute_ground_poses(path, track)));
+    const auto [low, high] = compute_bounding_corners(track, compute_ground_poses(path, track));
+    const std::vector<GroundPose> at_frames = compute_ground_poses(path, track, true);
     BoxTrack box;
     box.category = kDiscoveredCategory;
     box.size_m = high - low;
@@ -307,10 +271,11 @@ BoxTrack extend_labelled_box_in_time(const MoverTrack& track, const BoxTrack& la
     std::vector<glm::dvec3> positions_m;
     for (const MoverObservation& o : track.observations) positions_m.push_back(o.cluster.centre_m);
     std::vector<KinematicState> path = smooth_path(times, positions_m);
-    LabelBoxOffset before, after;
+    GroundPose before, after;
     for (int round = 0; round < kRounds; ++round) {
-        const std::vector<GroundPose> ground_poses = compute_ground_poses_along(list_positions(path));
-        positions_m = estimate_positions_from_visible_sides(track, ground_poses, &labelled_box.size_m);
+        const std::vector<GroundPose> ground_poses = compute_ground_poses(path, track);
+        positions_m =
+            estimate_positions_from_visible_sides(track, ground_poses, glm::dvec2(labelled_box.size_m));
         before =
             estimate_median_label_box_offset(track, first_labels, ground_poses, positions_m, labelled_box);
         after = estimate_median_label_box_offset(track, last_labels, ground_poses, positions_m, labelled_box);
@@ -318,10 +283,10 @@ BoxTrack extend_labelled_box_in_time(const MoverTrack& track, const BoxTrack& la
             positions_m[k] = is_labelled(track.observations[k])
                                  ? labelled_box.world_from_box.interpolate_pose(times[k]).translation
                                  : GroundPose{positions_m[k], ground_poses[k].yaw}.transform_to_world_frame(
-                                       (is_before(k) ? before : after).local_m);
+                                       (is_before(k) ? before : after).position_m);
         path = smooth_path(times, positions_m);
     }
-    const std::vector<GroundPose> at_frames = compute_ground_poses_at_frames(track, path);
+    const std::vector<GroundPose> at_frames = compute_ground_poses(path, track, true);
     BoxTrack box = labelled_box;
     PoseTrack poses[2];  // [0] poses before the labels, [1] poses after the labels
     for (std::size_t k = 0; k < at_frames.size(); ++k) {

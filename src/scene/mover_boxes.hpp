@@ -10,19 +10,17 @@
 
 namespace relidar {
 
-/// Fits an upright box to the returns of a track. Returns one pose per frame. The x axis
-/// points along the motion. Only the end near the sensor is measured reliably in each
-/// frame. Therefore the size of the box is the largest visible extent over the track.
+/// Fits an upright box to the returns of a track, with one pose per frame and x along the
+/// motion. The size is the largest visible extent over the track, because only the end
+/// near the sensor is measured reliably in each frame.
 BoxTrack fit_box_to_track(const MoverTrack& track);
 
-/// Enlarges a box if only one side of its object was visible. Extends the box in the
-/// direction away from the sensor, to the typical size of a car, a truck or a cyclist.
-/// Stores the name of this kind in the box. Does not change other boxes.
+/// Enlarges a box if only one side of its object was visible: away from the sensor, to the
+/// typical size of a car, a truck or a cyclist. Stores the name of this kind in the box.
 void enlarge_box_to_typical_size(BoxTrack& box, const MoverTrack& track);
 
 /// Adds poses to a labelled box for the times when the object was observed without a
-/// label. The size of the box does not change. The offset between the box and the visible
-/// points is computed from the nearest labels.
+/// label. The nearest labels give the offset between the box and the visible points.
 BoxTrack extend_labelled_box_in_time(const MoverTrack& track, const BoxTrack& labelled_box);
 
 /// Returns the speeds of a box in m/s. Each speed is measured over at least half a second

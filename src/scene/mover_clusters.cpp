@@ -18,41 +18,32 @@ namespace relidar {
 namespace {
 
 constexpr double kMaxRange_m = 40.0;  // beyond this range, a person has only one or two returns
-// Edge length of a grid cell. The program decides for each cell, not for each return,
-// whether the returns in it belong to a moving object.
+// Edge length of the cells for which the program decides whether their returns moved.
 constexpr double kCell_m = 0.2;
-// Edge length of a square on the ground. Points above neighbouring squares belong to the
-// same object.
+// Edge length of a square on the ground.
 constexpr double kSquare_m = 0.3;
-// Two returns belong to the same object if their grid squares are at most this many
-// squares apart along x and along y. The returns are then less than 0.9 m apart on each
-// axis.
+// Two returns belong to the same object if their squares are at most this many squares
+// apart along x and along y.
 constexpr int kReach = 2;
 constexpr double kMinPoints = 12;  // minimum number of moved returns in a cluster
 constexpr double kMaxLength_m = 14.0;
-// Minimum ratio (frames that find a cell empty) / (frames with a return in it). At a
-// higher ratio, the returns in the cell belong to a moving object. The threshold is low,
-// because a vehicle often hides empty cells behind it.
+// Minimum ratio (frames that find a cell empty) / (frames with a return in it) of a moved
+// cell. The threshold is low, because a vehicle often hides empty cells behind it.
 constexpr double kMinEmptyShare = 0.25;
-// A static object is usually visible in more frames than this. If at most this many
-// frames have a return in a cell, the program cannot decide whether the object there
-// moved.
+// A static object is usually visible in more frames than this.
 constexpr int kTooFewFrames = 3;
-// Points belong to the ground if they are below the lowest moving point of a cluster by
-// more than this height.
+// Points farther below the lowest moved point of a cluster belong to the ground.
 constexpr double kGroundBelow_m = 0.05;
-// Vertical gap without points that separates two objects. At 29 m, beams that are two
-// degrees apart leave a gap of this size.
+// Vertical gap that separates two objects. At 29 m, beams that are two degrees apart leave
+// a gap of this size.
 constexpr double kGapAbove_m = 1.0;
 constexpr double kMovedShare = 0.15;  // minimum share of moved returns in a cluster
-// Minimum number of consecutive frames that are processed as one group. Large groups are
-// faster, because cells at the border between two groups are computed twice.
+// Minimum number of consecutive frames in a group. Cells at the border between two groups
+// are computed twice.
 constexpr std::size_t kStretch = 200;
 
-/// Motion state of a grid cell. `moved` means that other frames find the cell empty.
-/// `rarely_observed` means that too few frames observe the cell, for example at the end
-/// of a log. A rarely observed cell becomes part of an object only if it is next to a
-/// `moved` cell.
+/// `moved`: other frames find the cell empty. `rarely_observed`: too few frames observe the
+/// cell. It becomes part of an object only if it is next to a `moved` cell.
 enum class CellMotionState : char { rests, rarely_observed, moved };
 
 /// One return of a frame.
@@ -69,9 +60,8 @@ struct LabelledBox {
     int label;  ///< kNoLabel if the box is static
 };
 
-/// Returns the labelled boxes at a given time. A moving box is returned only during the
-/// time of its labels. A static box is returned at all times, because the object was
-/// probably parked there before and after its labels.
+/// Returns the labelled boxes at a given time: a moving box only during the time of its
+/// labels, a static box at all times, because the object was probably parked there.
 std::vector<LabelledBox> find_labelled_boxes_at(const LidarSequence& sequence, double time_s) {
     std::vector<LabelledBox> boxes;
     for (std::size_t i = 0; i < sequence.boxes.size(); ++i) {
@@ -98,9 +88,7 @@ struct FrameMoverReturns {
     std::vector<MoverCluster> of_labels;
 };
 
-/// Converts sums to means: divides the time and the centre of a cluster by its number of
-/// points.
-/// @param cluster_sums cluster whose time and centre are sums over all points
+/// Converts sums over the points of a cluster, time and centre, to means.
 MoverCluster divide_sums_by_point_count(MoverCluster cluster_sums) {
     cluster_sums.time_s /= double(cluster_sums.points_m.size());
     cluster_sums.centre_m /= double(cluster_sums.points_m.size());
@@ -119,8 +107,7 @@ FrameMoverReturns split_returns_by_labelled_boxes(const LidarSequence& sequence,
         });
         if (in == labelled.end()) {
             result.others.push_back({glm::vec3(w.point_m), w.time_s, 0, CellMotionState::rests});
-            // Tests the box without a margin, because the margin would contain points of
-            // the ground.
+            // The margin would contain points of the ground.
         } else if (in->label != kNoLabel && in->box.contains_point(w.point_m, w.time_s, 0.0)) {
             MoverCluster& cluster = of_boxes[std::size_t(in - labelled.begin())];
             cluster.label = in->label;
@@ -155,12 +142,9 @@ std::vector<glm::vec3> assign_grid_cells_and_get_mean_points(std::vector<FrameMo
     return means;
 }
 
-/// Returns the range of heights that belongs to an object above the ground. Splits the
-/// given heights at large gaps, for example between a car and a tree above it. Uses the
-/// part with the most heights, and adds a margin below and above it.
-/// @param heights_m heights of the returns that other frames prove to have moved, at
-/// least one
-/// @return lower and upper limit, metres
+/// Returns the lower and the upper limit of an object above the ground. Splits the heights
+/// of its moved returns at large gaps, for example between a car and a tree above it. Uses
+/// the part with the most heights, and adds a margin.
 std::pair<double, double> find_object_height_range(std::vector<double> heights_m) {
     std::sort(heights_m.begin(), heights_m.end());
     std::size_t best = 0, n_best = 0;
@@ -197,7 +181,6 @@ std::vector<MoverCluster> cluster_moved_returns(const std::vector<MoverReturn>& 
             const MoverReturn& here = returns[open.back()];
             const glm::dvec3 p(here.point_m);
             open.pop_back();
-            // Only moved returns add their neighbours to the group.
             if (here.motion != CellMotionState::moved) continue;
             moved_at_m.push_back(p.z);
             for (int dx = -kReach; dx <= kReach; ++dx)
@@ -229,17 +212,6 @@ std::vector<MoverCluster> cluster_moved_returns(const std::vector<MoverReturn>& 
     }
     return clusters;
 }
-
-}  // namespace
-
-void MoverCluster::merge_cluster(const MoverCluster& other_cluster) {
-    const double n = double(points_m.size()), m = double(other_cluster.points_m.size());
-    time_s = (n * time_s + m * other_cluster.time_s) / (n + m);
-    centre_m = (n * centre_m + m * other_cluster.centre_m) / (n + m);
-    points_m.insert(points_m.end(), other_cluster.points_m.begin(), other_cluster.points_m.end());
-}
-
-namespace {
 
 using ClustersByFrame = std::vector<std::vector<MoverCluster>>;  // [frames]
 
@@ -308,6 +280,13 @@ ClustersByFrame gather_clusters_of_all_processes(const ProcessGroup& group,
 }
 
 }  // namespace
+
+void MoverCluster::merge_cluster(const MoverCluster& other_cluster) {
+    const double n = double(points_m.size()), m = double(other_cluster.points_m.size());
+    time_s = (n * time_s + m * other_cluster.time_s) / (n + m);
+    centre_m = (n * centre_m + m * other_cluster.centre_m) / (n + m);
+    points_m.insert(points_m.end(), other_cluster.points_m.begin(), other_cluster.points_m.end());
+}
 
 std::vector<std::vector<MoverCluster>> find_mover_clusters(const LidarSequence& sequence,
                                                            const std::vector<int>& frame_indices,

@@ -14,24 +14,19 @@ namespace relidar {
 inline constexpr int kNoLabel = -1;
 
 /// Points of one moving object in one frame. If the object has a label, these are the
-/// points inside its labelled box. Clusters with and without a label have the same type,
-/// because the track of an object can begin before its labels and end after them.
+/// points inside its labelled box.
 struct MoverCluster {
     double time_s = 0.0;               ///< mean firing time of its returns
     glm::dvec3 centre_m{0.0};          ///< mean position of its returns, world
     std::vector<glm::dvec3> points_m;  ///< positions of its returns, world
-    /// Index of the labelled box in LidarSequence::boxes, or kNoLabel if the cluster has
-    /// no label.
-    int label = kNoLabel;
+    int label = kNoLabel;              ///< index in LidarSequence::boxes, or kNoLabel
 
     /// Adds the returns of another cluster of the same frame.
     void merge_cluster(const MoverCluster& other_cluster);
 };
 
-/// Finds the clusters of points on moving objects in the given frames. Splits a long log
-/// into sections, and distributes the sections among the processes of a process group.
-/// @param frame_indices indices of the frames, ascending
-/// @param visibility what these frames observe at a point
+/// Finds the clusters of points on moving objects in the given frames (ascending). The
+/// processes of the group share a long log.
 /// @return [frames] clusters of each frame, identical in all processes
 std::vector<std::vector<MoverCluster>> find_mover_clusters(const LidarSequence& sequence,
                                                            const std::vector<int>& frame_indices,

@@ -10,16 +10,13 @@
 namespace relidar {
 namespace {
 
-// Two returns closer than this can belong to the same static object, because poses and
-// ranges have errors.
+// Closer returns can belong to the same static object, because poses have errors.
 constexpr double kSamePosition_m = 0.2;
-// Margin around the tracked box. Skips a frame if the enlarged box contains the tested
-// point, because the tracked object may still be there.
+// Margin around the tracked box, because the tracked object may still be there.
 constexpr double kClear_m = 0.4;
 // At least this share of the returns of a track must be proven to lie on a moving object.
 constexpr double kMinMovedReturnShare = 0.25;
-// Minimum n_moved_returns / n_decided_returns of a track. A return is decided if other
-// frames observe its position, and moved if most of these frames find its position empty.
+// Minimum n_moved_returns / n_decided_returns of a track.
 constexpr double kMinConfirmedShare = 0.85;
 constexpr double kMinMovedFrameShare =
     0.5;  // motion must be proven in at least this share of a track's frames

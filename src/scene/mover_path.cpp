@@ -15,28 +15,22 @@ namespace {
 
 // standard deviation of the observed position of an object's near end
 constexpr double kPositionNoise_m = 0.1;
-// Spectral density q of the white noise that models the jerk of an object, m^2/s^5. It
-// controls the smoothing. With one position every 0.1 s, the path follows motions that
-// take longer than 0.4 s and smooths shorter motions.
+// Spectral density q of the white noise on the jerk, m^2/s^5. With a position every 0.1 s,
+// the path follows motions that take longer than 0.4 s and smooths shorter motions.
 constexpr double kJerk = 0.2;
-// A position at this distance from the path has half the weight of a position on the
-// path.
+// A position at this distance from the path has half the weight of one on the path.
 constexpr double kFarFromPath_m = 0.3;
 constexpr int kPathRounds = 3;
 // The heading at a position is the direction of a chord of the path. The chord begins at
-// this distance before the position and ends at this distance after it. Errors of 3 cm at
-// both ends typically rotate the chord by less than a degree.
+// this distance before the position and ends at this distance after it.
 constexpr double kChord_m = 1.5;
-// The heading at a path point p is the direction from an earlier point a to a later point
-// b. If |ab| / max(|ap|, |pb|) is below this ratio, the path turns back at p. The heading
-// is then the direction from a to p.
+// A path through a, p and b turns back at p if |ab| / max(|ap|, |pb|) is below this ratio.
+// The heading at p is then the direction from a to p instead of from a to b.
 constexpr double kTurnsBack = 0.3;
 
-/// State of the Kalman filter. Each column is a world axis. The rows are position,
-/// velocity and acceleration.
+/// Each column of `state` is a world axis. The rows are position, velocity, acceleration.
 struct KalmanState {
-    glm::dmat3 state{0.0};
-    glm::dmat3 covariance{0.0};
+    glm::dmat3 state{0.0}, covariance{0.0};
 };
 
 glm::dmat3 make_transition_matrix(double dt_s) {
@@ -58,14 +52,12 @@ std::vector<KinematicState> run_kalman_smoother(const std::vector<double>& times
     for (int axis = 0; axis < 3; ++axis) before[0].state[axis][0] = positions_m[0][axis];
     for (std::size_t k = 0; k < n; ++k) {
         if (k > 0) {
-            // Predicts the state at this time from the previous state.
             const KalmanState& previous = filtered[k - 1];
             const double dt_s = times_s[k] - times_s[k - 1];
             const glm::dmat3 f = make_transition_matrix(dt_s);
             before[k] = {f * previous.state,
                          f * previous.covariance * glm::transpose(f) + make_process_noise_covariance(dt_s)};
         }
-        // Updates the predicted state with the measured position.
         filtered[k] = before[k];
         const glm::dvec3 column = before[k].covariance[0];
         const glm::dvec3 gain = column / (column.x + kPositionNoise_m * kPositionNoise_m / weights[k]);
@@ -88,9 +80,8 @@ std::vector<KinematicState> run_kalman_smoother(const std::vector<double>& times
     return path;
 }
 
-/// Follows the path from one of its positions. Returns the first point at the distance
-/// kChord_m from this position, or the end of the path.
-/// @param index_step 1 for later positions, -1 for earlier positions
+/// Returns the first point of the path at the distance kChord_m from one of its positions,
+/// or the end of the path.
 glm::dvec2 find_path_point_at_chord_length(const std::vector<glm::dvec3>& path_m, std::size_t start_index,
                                            int index_step) {
     const glm::dvec2 here(path_m[start_index]);

@@ -17,20 +17,15 @@ struct KinematicState {
     }
 };
 
-/// Fits a smooth path through all observed positions of a track. The path is a smoothing
-/// spline of the fifth degree that penalizes changes of the acceleration (docs/method.md
-/// section 6). Observed positions far from the path get a low weight.
-/// @param times_s ascending
-/// @param positions_m [times] observed positions
-/// @return [times]
+/// Fits a smooth path through the observed positions of a track at ascending times. The
+/// path is a smoothing spline of the fifth degree that penalizes changes of the
+/// acceleration (docs/method.md section 6). Positions far from it get a low weight.
 std::vector<KinematicState> smooth_path(const std::vector<double>& times_s,
                                         const std::vector<glm::dvec3>& positions_m);
 
-/// Returns the heading in radians at each position of a path on the ground. The heading
-/// is the direction from the point 1.5 m earlier on the path to the point 1.5 m later. An
-/// object that stops therefore keeps its last heading.
-/// @param path_m [positions]
-/// @return [positions]
+/// Returns the heading in radians at each position of a path on the ground: the direction
+/// from the point 1.5 m earlier on the path to the point 1.5 m later. An object that stops
+/// therefore keeps its last heading.
 std::vector<double> compute_path_headings_rad(const std::vector<glm::dvec3>& path_m);
 
 }  // namespace relidar

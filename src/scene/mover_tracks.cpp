@@ -19,18 +19,15 @@ namespace {
 constexpr double kMaxGap_s = 0.35;
 constexpr double kLongestGap_s = 1.5;  // maximum gap across which two parts of a track are joined
 constexpr std::size_t kEndsOfGap = 4;  // minimum number of observations before and after a gap
-// Maximum number of observations from which a velocity is estimated. kNext is used to
-// predict the position in the next frame. kFar is used to predict it across a gap in
-// time.
+// Maximum number of observations from which a velocity is estimated, for the prediction of
+// the next frame (kNext) and across a gap in time (kFar).
 constexpr std::size_t kNext = 4, kFar = 10;
 constexpr double kFirstSpeed_mps = 15.0;  // maximum speed of an object that has been observed only once
 // Maximum distance between an object and its predicted position: kAcceleration_m plus
-// kAcceleration_mps for each second since its last observation. The object may
-// accelerate, but the prediction assumes a constant velocity.
+// kAcceleration_mps for each second since its last observation.
 constexpr double kAcceleration_m = 0.7, kAcceleration_mps = 4.0;
-// Two tracks can be joined across a gap in time. The velocities before and after the gap
-// must both predict the motion across the gap. The maximum error is kAcceleration_m plus
-// this many metres for each second of the gap.
+// The velocities before and after a gap must both predict the motion across the gap. The
+// maximum error is kAcceleration_m plus this many metres for each second of the gap.
 constexpr double kOverGap_mps = 0.8;
 // maximum difference between the speeds before and after a gap
 constexpr double kOtherSpeed_mps = 2.0;
@@ -39,17 +36,18 @@ constexpr double kOtherSpeed_mps = 2.0;
 constexpr double kMaxRatio = 8.0;
 constexpr std::size_t kMinObservations = 6;
 constexpr double kMinPath_m = 0.6;
-// Minimum ratio of net motion to path length. Noise moves back and forth, so its ratio is
-// small.
+// Minimum ratio of net motion to path length. The ratio of noise is small.
 constexpr double kMinStraightness = 0.5;
 constexpr double kEgoVehicleRadius_m = 4.0, kMaxRelativeMotion_m = 0.3;
-// Minimum size of a vehicle part. Only larger parts are joined to one vehicle, because
-// smaller parts can be people who walk together.
+// Smaller parts are not joined to one vehicle, because they can be people.
 constexpr double kVehiclePart_m = 1.2;
 constexpr double kBesides_m = 1.5;  // maximum distance between the parts of one vehicle
-// Largest allowed standard deviation of the offset between two parts of one vehicle. The
-// offset varies because the visible side of the vehicle changes.
+// Maximum standard deviation of the offset between two parts of one vehicle. The offset
+// varies with the visible side.
 constexpr double kRigid_m = 0.5;
+
+// How badly two things match, and the indices of both. Sorted from the best match.
+using Match = std::tuple<double, std::size_t, std::size_t>;
 
 glm::dvec3 compute_velocity_between(const MoverCluster& first, const MoverCluster& second) {
     return (second.centre_m - first.centre_m) / std::max(second.time_s - first.time_s, 1e-3);
@@ -68,29 +66,23 @@ glm::dvec3 estimate_first_velocity(const MoverTrack& track, std::size_t max_obse
 
 /// Returns the distance between a cluster and the predicted position of a track, divided
 /// by the largest allowed distance. A value above 1 means that the cluster is another
-/// object.
-double compute_track_cluster_match_cost(const MoverTrack& track, const MoverCluster& cluster) {
-    const double dt = cluster.time_s - track.get_last_cluster().time_s;
-    if (!(dt > 0.0 && dt < kMaxGap_s)) return 2.0;
-    const double ratio = double(cluster.points_m.size()) / double(track.get_last_cluster().points_m.size());
-    if (ratio > kMaxRatio || ratio < 1.0 / kMaxRatio) return 2.0;
-    const double gate = track.observations.size() < 2 ? kAcceleration_m + kFirstSpeed_mps * dt
-                                                      : kAcceleration_m + kAcceleration_mps * dt;
-    return glm::length(glm::dvec2(cluster.centre_m - track.get_last_cluster().centre_m -
-                                  dt * estimate_last_velocity(track, kNext))) /
-           gate;
-}
-
-/// Returns how badly a cluster matches a track. A value above 1 means that the cluster
-/// belongs to another object. While the tracked object has a label, only clusters with
-/// the same label match.
+/// object. While the tracked object has a label, only clusters with this label match.
 double compute_track_cluster_match_cost(const MoverTrack& track, const MoverCluster& cluster,
                                         double frame_time_s, const LidarSequence& sequence) {
-    if (track.label == kNoLabel) return compute_track_cluster_match_cost(track, cluster);
-    if (cluster.label != kNoLabel) return cluster.label == track.label ? 0.0 : 2.0;
-    return sequence.boxes[std::size_t(track.label)].world_from_box.contains_time(frame_time_s)
-               ? 2.0
-               : compute_track_cluster_match_cost(track, cluster);
+    if (track.label != kNoLabel) {
+        if (cluster.label != kNoLabel) return cluster.label == track.label ? 0.0 : 2.0;
+        if (sequence.boxes[std::size_t(track.label)].world_from_box.contains_time(frame_time_s)) return 2.0;
+    }
+    const MoverCluster& last = track.get_last_cluster();
+    const double dt = cluster.time_s - last.time_s;
+    if (!(dt > 0.0 && dt < kMaxGap_s)) return 2.0;
+    const double ratio = double(cluster.points_m.size()) / double(last.points_m.size());
+    if (ratio > kMaxRatio || ratio < 1.0 / kMaxRatio) return 2.0;
+    const double gate =
+        kAcceleration_m + (track.observations.size() < 2 ? kFirstSpeed_mps : kAcceleration_mps) * dt;
+    return glm::length(
+               glm::dvec2(cluster.centre_m - last.centre_m - dt * estimate_last_velocity(track, kNext))) /
+           gate;
 }
 
 /// Builds tracks frame by frame. A track is open while a cluster of the next frame can
@@ -108,10 +100,10 @@ public:
             return frame_time_s - track.observations.back().frame_time_s > 2.0 * kMaxGap_s;
         });
         std::vector<char> track_is_used(tracks_.size(), 0), cluster_is_used(clusters.size(), 0);
-        for (const TrackClusterMatch& fit : list_possible_matches(frame_time_s, clusters)) {
-            if (track_is_used[fit.track] || cluster_is_used[fit.cluster]) continue;
-            track_is_used[fit.track] = cluster_is_used[fit.cluster] = 1;
-            append_observation(tracks_[fit.track], frame_time_s, clusters[fit.cluster]);
+        for (const auto& [mismatch, track, cluster] : list_possible_matches(frame_time_s, clusters)) {
+            if (track_is_used[track] || cluster_is_used[cluster]) continue;
+            track_is_used[track] = cluster_is_used[cluster] = 1;
+            append_observation(tracks_[track], frame_time_s, clusters[cluster]);
         }
         for (std::size_t c = 0; c < clusters.size(); ++c) {
             if (cluster_is_used[c]) continue;
@@ -123,30 +115,20 @@ public:
     std::vector<MoverTrack> release_tracks() && { return std::move(tracks_); }
 
 private:
-    struct TrackClusterMatch {
-        double mismatch;
-        std::size_t track, cluster;
-    };
     const LidarSequence& sequence_;
     std::vector<MoverTrack> tracks_;
     std::vector<std::size_t> open_;  // indices of the tracks that may continue
 
-    /// Returns all possible pairs of a track and a cluster. The pairs are sorted from the
-    /// best match to the worst.
-    std::vector<TrackClusterMatch> list_possible_matches(double frame_time_s,
-                                                         const std::vector<MoverCluster>& clusters) const {
-        std::vector<TrackClusterMatch> result;
+    std::vector<Match> list_possible_matches(double frame_time_s,
+                                             const std::vector<MoverCluster>& clusters) const {
+        std::vector<Match> result;
         for (const std::size_t t : open_)
             for (std::size_t c = 0; c < clusters.size(); ++c)
                 if (const double m =
                         compute_track_cluster_match_cost(tracks_[t], clusters[c], frame_time_s, sequence_);
                     m < 1.0)
                     result.push_back({m, t, c});
-        std::sort(result.begin(), result.end(),
-                  [](const TrackClusterMatch& first, const TrackClusterMatch& second) {
-                      return std::tie(first.mismatch, first.track, first.cluster) <
-                             std::tie(second.mismatch, second.track, second.cluster);
-                  });
+        std::ranges::sort(result);
         return result;
     }
     void append_observation(MoverTrack& track, double frame_time_s, const MoverCluster& cluster) const {
@@ -167,8 +149,7 @@ double compute_visible_width_m(const MoverCluster& cluster) {
     return std::max(high.x - low.x, high.y - low.y);
 }
 
-/// Returns the observations of two tracks that are in the same frame, as pairs of
-/// indices.
+/// Returns pairs of indices of the observations of two tracks in the same frame.
 std::vector<std::pair<std::size_t, std::size_t>> list_observation_pairs_in_same_frame(
     const MoverTrack& first, const MoverTrack& second) {
     std::vector<std::pair<std::size_t, std::size_t>> pairs;
@@ -208,9 +189,8 @@ bool are_tracks_of_same_vehicle(const MoverTrack& track, const MoverTrack& other
     return variance.x + variance.y < kRigid_m * kRigid_m;
 }
 
-/// Returns how badly a later track continues an earlier track after a gap. Predicts the
-/// position across the gap from each track. A value above 1 means that the tracks belong
-/// to different objects.
+/// Returns how badly a later track continues an earlier track after a gap. A value above 1
+/// means that the tracks belong to different objects.
 double compute_match_cost_over_gap(const MoverTrack& earlier_track, const MoverTrack& later_track) {
     if (earlier_track.label != kNoLabel && later_track.label != kNoLabel) return 2.0;
     if (std::min(earlier_track.observations.size(), later_track.observations.size()) < kEndsOfGap) return 2.0;
@@ -227,17 +207,11 @@ double compute_match_cost_over_gap(const MoverTrack& earlier_track, const MoverT
                     glm::length(glm::dvec2(from_velocity - to_velocity)) / kOtherSpeed_mps);
 }
 
-/// Two tracks that may belong to the same object: `after` begins some time after the end
-/// of `before`.
-struct TrackPairMatch {
-    double mismatch;
-    std::size_t before, after;
-};
-// Returns the pairs of tracks that may be parts of the same object, with a gap in time
-// between them. The pairs are sorted from best to worst match.
-// @param tracks sorted by their first frames
-std::vector<TrackPairMatch> find_track_pairs_over_gaps(const std::vector<MoverTrack>& tracks) {
-    std::vector<TrackPairMatch> fits;
+/// Returns the pairs of tracks that may be parts of the same object, with a gap in time
+/// between them. The second track begins after the end of the first.
+/// @param tracks sorted by their first frames
+std::vector<Match> find_track_pairs_over_gaps(const std::vector<MoverTrack>& tracks) {
+    std::vector<Match> fits;
     const auto starts_s = [&](std::size_t t) { return tracks[t].observations.front().frame_time_s; };
     std::vector<std::size_t> all(tracks.size());
     std::iota(all.begin(), all.end(), std::size_t(0));
@@ -248,22 +222,18 @@ std::vector<TrackPairMatch> find_track_pairs_over_gaps(const std::vector<MoverTr
             if (const double m = compute_match_cost_over_gap(tracks[a], tracks[*b]); m < 1.0)
                 fits.push_back({m, a, *b});
     }
-    std::sort(fits.begin(), fits.end(), [](const TrackPairMatch& first, const TrackPairMatch& second) {
-        return std::tie(first.mismatch, first.before, first.after) <
-               std::tie(second.mismatch, second.before, second.after);
-    });
+    std::ranges::sort(fits);
     return fits;
 }
 
-/// Joins tracks of the same object across gaps. Does not join tracks with different
-/// labels.
+/// Joins tracks of the same object across gaps, unless their labels differ.
 std::vector<MoverTrack> join_tracks_across_gaps(std::vector<MoverTrack> tracks) {
     std::vector<std::size_t> next(tracks.size(), tracks.size());
     std::vector<char> follows(tracks.size(), 0);
-    for (const TrackPairMatch& fit : find_track_pairs_over_gaps(tracks))
-        if (next[fit.before] == tracks.size() && !follows[fit.after]) {
-            next[fit.before] = fit.after;
-            follows[fit.after] = 1;
+    for (const auto& [mismatch, before, after] : find_track_pairs_over_gaps(tracks))
+        if (next[before] == tracks.size() && !follows[after]) {
+            next[before] = after;
+            follows[after] = 1;
         }
     std::vector<MoverTrack> joined;
     for (std::size_t first = 0; first < tracks.size(); ++first) {

@@ -16,16 +16,16 @@ struct MoverObservation {
     glm::dvec3 sensor_m;  ///< position of the sensor, world
     MoverCluster cluster;
 };
+inline bool is_labelled(const MoverObservation& observation) { return observation.cluster.label != kNoLabel; }
 
-/// All observations of one object, in the order of the frames. The track of a labelled
-/// object also contains observations from before and after its labels.
+/// All observations of one object, in the order of the frames. Includes observations
+/// before and after the labels of the object.
 struct MoverTrack {
     std::vector<MoverObservation> observations;
     int label = kNoLabel;  ///< index in LidarSequence::boxes, or kNoLabel
 
     const MoverCluster& get_last_cluster() const { return observations.back().cluster; }
-    /// Returns the time of each observation, which is the mean firing time of its
-    /// returns.
+    /// Returns the time of each observation.
     std::vector<double> get_observation_times() const;
 };
 
@@ -38,16 +38,14 @@ std::vector<MoverTrack> link_clusters_to_tracks(
     const std::vector<std::vector<MoverCluster>>& clusters_per_frame,
     const std::vector<double>& frame_times_s, const LidarSequence& sequence);
 
-/// Returns true if a track has enough observations, moves far enough, and is fairly
-/// straight.
+/// Returns true if a track has enough observations, moves far enough, and is straight.
 bool is_moving_track(const MoverTrack& track);
 
 /// Returns true if a track stays near the recording vehicle at a fixed position relative
-/// to the vehicle. Such a track is a part of the vehicle itself.
+/// to it. Such a track is a part of the vehicle.
 bool is_fixed_to_vehicle(const MoverTrack& track, const PoseTrack& world_from_vehicle);
 
-/// Merges tracks that are parts of one object. Adds their returns to the longest track of
-/// the object.
+/// Merges tracks that are parts of one object into the longest of them.
 void merge_tracks_of_same_object(std::vector<MoverTrack>& tracks);
 
 }  // namespace relidar

@@ -14,8 +14,6 @@ class MultiScalePlaneMaps {
 public:
     static constexpr int kLevels = 3;
 
-    /// Creates an empty map for each cell size. The levels are sorted from coarse to
-    /// fine.
     /// @param first, last  cell size and scale of the robust kernel at the coarsest and
     /// at the finest level
     MultiScalePlaneMaps(const RegistrationRound& first, const RegistrationRound& last)
@@ -32,9 +30,7 @@ public:
     RegistrationRound get_registration_settings_of_level(int level) const {
         return interpolate_round_settings(first_, last_, level / double(kLevels - 1));
     }
-    /// Adds points to the map of each cell size.
-    /// @param travelled_distance_m  distance that the vehicle had driven when it measured
-    /// the points; used to remove old cells later
+    /// Adds points that the vehicle measured after driving `travelled_distance_m`.
     void add_points_to_maps(const std::vector<glm::dvec3>& points_m, double travelled_distance_m) {
         parallel_for(kLevels, [&](int level) {
             for (const glm::dvec3& point_m : points_m)

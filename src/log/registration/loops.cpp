@@ -4,7 +4,6 @@
 #include <algorithm>
 #include <cmath>
 #include <optional>
-#include <span>
 
 #include <Eigen/SparseCholesky>
 
@@ -17,16 +16,14 @@ namespace {
 // Distance along the path between two keyframes (selected poses of the track). Loop
 // closures connect only keyframes.
 constexpr double kKeyframeDistance_m = 4.0;
-// Minimum path length between two passes over the same road. If the path between two
-// passes is shorter, odometry has already aligned them.
+// Minimum path length between two passes over a road. Odometry has aligned closer passes.
 constexpr double kApart_m = 80.0;
 // A loop closure is searched between two poses that are at most this far apart. The limit
 // grows by kLoopDistanceGrowth per metre of path between the poses, because odometry
 // drifts.
 constexpr double kLoopDistance_m = 4.0, kLoopDistanceGrowth = 0.01, kMaxLoopDistance_m = 15.0;
-// A loop closure aligns a scan with a map of an earlier pass over the same road. The map
-// extends this distance along the road before and after the earlier pose that is nearest
-// to the scan.
+// A scan is aligned with a map of the earlier pass. The map extends this distance along
+// the road before and after the earlier pose that is nearest to the scan.
 constexpr double kMap_m = 14.0;
 // Registration tries a grid of start positions around the predicted pose. The values are
 // the spacing of the grid, and its largest horizontal and vertical distance.
@@ -37,12 +34,10 @@ constexpr double kGridPenalty = 0.01;
 constexpr std::size_t kGridPoints = 400;
 constexpr int kMostLoopSteps = 10;
 constexpr double kLoopStep_m = 1e-3, kLoopPrior = 1e-4;
-// A loop closure is rejected if less than this share of the scan's points lies on planes
-// of the map.
+// Minimum share of the scan's points on planes of the map.
 constexpr double kLeastShare = 0.4;
 constexpr std::size_t kMinLoopClosures = 2;
-// standard deviations of odometry errors on a path of length kKeyframeDistance_m, which
-// is the distance between two keyframes
+// standard deviations of odometry errors between two keyframes
 constexpr double kOdometrySigma_m = 0.01, kOdometrySigma_rad = 3e-4;
 constexpr double kClosureSigma_m = 0.05, kClosureSigma_rad = 2e-3;  // standard deviations of a loop closure
 // Scale of a robust kernel. A loop closure that contradicts the other loop closures by
@@ -50,19 +45,17 @@ constexpr double kClosureSigma_m = 0.05, kClosureSigma_rad = 2e-3;  // standard 
 constexpr double kBelieved_m = 0.5;
 constexpr int kReweighted = 6;
 
-/// Loop closure: the scan at a later keyframe was registered to the map of an earlier
-/// pass over the same road.
+/// The scan at a later keyframe was registered to the map of an earlier pass.
 struct LoopClosure {
     std::size_t earlier, later;  // indices of the keyframes
-    // correction of the later pose: translation, then rotation vector
-    Twist off;
+    Twist off;                   // correction of the later pose: translation, then rotation vector
 };
 
 class LoopCloser {
 public:
-    LoopCloser(const PoseTrack& track, const std::vector<std::vector<SubsampledPoint>>& scans,
-               const LoopClosureOptions& options)
-        : track_(track), scans_(scans), options_(options), maps_(options.first, options.last) {
+    LoopCloser(const PoseTrack& track, const SubsampledScans& scans, const RegistrationRound& first,
+               const RegistrationRound& last)
+        : track_(track), scans_(scans), first_(first), maps_(first, last) {
         double driven_m = 0.0;
         for (std::size_t k = 0; k < track.pose.size(); ++k) {
             if (k > 0) driven_m += glm::distance(track.pose[k].translation, track.pose[k - 1].translation);
@@ -73,19 +66,18 @@ public:
         }
     }
 
-    LoopClosureResult detect_and_close_loops() {
+    LoopClosureResult detect_and_close_loops(const std::function<bool(double)>& proceed) {
         LoopClosureResult result{track_, 0, 0.0};
         std::optional<LoopClosure> before;
         for (std::size_t later = 0; later < keyframes_.size(); ++later) {
-            if (later % 16 == 0 && !options_.proceed(double(later) / double(keyframes_.size())))
-                return result;
+            if (later % 16 == 0 && !proceed(double(later) / double(keyframes_.size()))) return result;
             const std::optional<std::size_t> earlier = find_nearest_earlier_keyframe(later);
             if (!earlier) continue;
             if (before && before->later + 3 < later) before.reset();
-            const std::optional<LoopClosure> closure = register_scan_as_loop_closure(*earlier, later, before);
-            if (!closure) continue;
-            closures_.push_back(*closure);
-            before = closure;
+            if (const auto closure = register_scan_as_loop_closure(*earlier, later, before)) {
+                closures_.push_back(*closure);
+                before = closure;
+            }
         }
         if (closures_.size() < kMinLoopClosures) return result;
         apply_loop_corrections(result);
@@ -94,8 +86,8 @@ public:
 
 private:
     const PoseTrack& track_;
-    const std::vector<std::vector<SubsampledPoint>>& scans_;
-    const LoopClosureOptions& options_;
+    const SubsampledScans& scans_;
+    const RegistrationRound first_;
     std::vector<double> path_length_m_;   // [poses] length of the path up to each pose
     std::vector<std::size_t> keyframes_;  // indices of the keyframes
     std::vector<LoopClosure> closures_;
@@ -112,18 +104,15 @@ private:
     std::optional<std::size_t> find_nearest_earlier_keyframe(std::size_t later_keyframe_index) const {
         std::optional<std::size_t> nearest;
         double least_m = 1e30;
-        for (std::size_t key = 0;
-             key < later_keyframe_index &&
-             get_path_length_to_keyframe_m(later_keyframe_index) - get_path_length_to_keyframe_m(key) >
-                 kApart_m;
-             ++key) {
+        for (std::size_t key = 0; key < later_keyframe_index; ++key) {
+            const double path_m =
+                get_path_length_to_keyframe_m(later_keyframe_index) - get_path_length_to_keyframe_m(key);
+            if (!(path_m > kApart_m)) break;
             const double distance_m = glm::distance(get_keyframe_pose(key).translation,
                                                     get_keyframe_pose(later_keyframe_index).translation);
-            const double max_distance_m = std::min(
-                kLoopDistance_m + kLoopDistanceGrowth * (get_path_length_to_keyframe_m(later_keyframe_index) -
-                                                         get_path_length_to_keyframe_m(key)),
-                kMaxLoopDistance_m);
-            if (distance_m > max_distance_m || distance_m >= least_m) continue;
+            if (distance_m > std::min(kLoopDistance_m + kLoopDistanceGrowth * path_m, kMaxLoopDistance_m) ||
+                distance_m >= least_m)
+                continue;
             least_m = distance_m;
             nearest = key;
         }
@@ -145,9 +134,7 @@ private:
         maps_.add_points_to_maps(points_m, 0.0);
     }
 
-    /// Returns the points of the scan at keyframe `keyframe_index` (a selected pose of
-    /// the track), in the vehicle frame of this pose. Also returns the vehicle position
-    /// from which each point was measured.
+    /// Returns the points of a keyframe's scan in the vehicle frame of its pose.
     std::vector<WorldPointWithOrigin> transform_scan_to_keyframe(std::size_t keyframe_index) const {
         const Pose pose_from_world = inverse(get_keyframe_pose(keyframe_index));
         std::vector<WorldPointWithOrigin> points;
@@ -166,7 +153,7 @@ private:
             const glm::dvec3 p = pose * points[i].point_m;
             const LocalPlane* plane = maps_.find_finest_plane_at(p, 0);
             on_planes += plane && compute_robust_weight(glm::dot(plane->normal, p - plane->point_m),
-                                                        options_.first.scale_m) > 0.25;
+                                                        first_.scale_m) > 0.25;
         }
         return double(on_planes) / double(std::max<std::size_t>(n, 1));
     }
@@ -196,23 +183,17 @@ private:
         return start_at(std::size_t(std::ranges::max_element(scores) - scores.begin()));
     }
 
-    /// Moves a scan by one Gauss-Newton step, so that its points move towards planes of
-    /// the map.
+    /// Moves a scan by one Gauss-Newton step towards planes of the map.
     /// @return length of the step
     double align_scan_by_one_step_and_get_length_m(const std::vector<WorldPointWithOrigin>& points,
                                                    Pose& pose, int map_level,
                                                    double& fraction_on_planes) const {
         const double scale_m = maps_.get_registration_settings_of_level(map_level).scale_m;
         const SinglePoseEquations equations =
-            parallel_sum_over_ranges(points.size(), kPointsOfPart, [&](std::size_t begin, std::size_t end) {
-                SinglePoseEquations part;
-                for (const WorldPointWithOrigin& point : std::span(points).subspan(begin, end - begin)) {
-                    const glm::dvec3 p = pose * point.point_m;
-                    if (const LocalPlane* plane = maps_.find_finest_plane_at(p, map_level))
-                        part.add_plane_residual(
-                            compute_plane_residual({p, pose.translation}, *plane, scale_m));
-                }
-                return part;
+            sum_point_equations(points.size(), [&](SinglePoseEquations& part, std::size_t i) {
+                const glm::dvec3 p = pose * points[i].point_m;
+                if (const LocalPlane* plane = maps_.find_finest_plane_at(p, map_level))
+                    part.add_plane_residual(compute_plane_residual({p, pose.translation}, *plane, scale_m));
             });
         fraction_on_planes = double(equations.count_points_on_planes()) / double(points.size());
         if (equations.empty()) return 0.0;
@@ -251,8 +232,7 @@ private:
             at = find_best_start_pose(points, get_keyframe_pose(later_keyframe_index), reach_m);
         }
         double share = refine_pose_and_get_fraction_on_planes(points, at);
-        // The start pose `at` was predicted from the previous loop closure. If too few
-        // points match, searches for a better start pose and aligns the scan again.
+        // If too few points match, searches for a better start pose.
         if (previous_closure && share < kLeastShare) {
             at = find_best_start_pose(points, get_keyframe_pose(later_keyframe_index), reach_m);
             share = refine_pose_and_get_fraction_on_planes(points, at);
@@ -262,69 +242,50 @@ private:
                            compute_twist(get_keyframe_pose(later_keyframe_index), at)};
     }
 
-    /// Least-squares equations for the corrections of selected poses (keyframes). Each
-    /// term gives the expected difference between the corrections of two poses.
-    struct LoopClosureEquations {
-        std::vector<Eigen::Triplet<double>> h;
-        Eigen::VectorXd g;
-
-        void add_relative_keyframe_constraint(std::size_t first_keyframe_index,
-                                              std::size_t second_keyframe_index,
-                                              const glm::dvec3& first_to_second_m,
-                                              const Twist& expected_difference, const Vector6& weights) {
-            const Matrix6 ja = -make_twist_transfer_matrix(first_to_second_m);
+    /// Solves for the corrections of all keyframes. Each term of the least-squares problem
+    /// gives the expected difference between the corrections of two keyframes.
+    Eigen::VectorXd solve_keyframe_corrections(const std::vector<double>& closure_weights) const {
+        const auto n = Eigen::Index(keyframes_.size());
+        std::vector<Eigen::Triplet<double>> entries;
+        Eigen::VectorXd g = Eigen::VectorXd::Zero(6 * n);
+        const auto add_block = [&](std::size_t index, std::size_t j, const Matrix6& matrix) {
+            for (int r = 0; r < 6; ++r)
+                for (int c = 0; c < 6; ++c)
+                    if (matrix(r, c) != 0.0)
+                        entries.emplace_back(int(6 * index) + r, int(6 * j) + c, matrix(r, c));
+        };
+        const auto add_term = [&](std::size_t first, std::size_t second, const Twist& expected_difference,
+                                  double sigma_m, double sigma_rad, double weight) {
+            Vector6 weights;
+            weights << Eigen::Vector3d::Constant(weight / (sigma_m * sigma_m)),
+                Eigen::Vector3d::Constant(weight / (sigma_rad * sigma_rad));
+            const Matrix6 ja = -make_twist_transfer_matrix(get_keyframe_pose(second).translation -
+                                                           get_keyframe_pose(first).translation);
             const Matrix6 jb = Matrix6::Identity();
             const Vector6 target = Eigen::Map<const Vector6>(expected_difference.data());
-            const auto block = [&](std::size_t index, std::size_t j, const Matrix6& matrix) {
-                for (int r = 0; r < 6; ++r)
-                    for (int c = 0; c < 6; ++c)
-                        if (matrix(r, c) != 0.0)
-                            h.emplace_back(int(6 * index) + r, int(6 * j) + c, matrix(r, c));
-            };
             const Matrix6 wa = weights.asDiagonal() * ja, wb = weights.asDiagonal() * jb;
-            block(first_keyframe_index, first_keyframe_index, ja.transpose() * wa);
-            block(first_keyframe_index, second_keyframe_index, ja.transpose() * wb);
-            block(second_keyframe_index, first_keyframe_index, jb.transpose() * wa);
-            block(second_keyframe_index, second_keyframe_index, jb.transpose() * wb);
-            g.segment<6>(6 * Eigen::Index(first_keyframe_index)) += wa.transpose() * target;
-            g.segment<6>(6 * Eigen::Index(second_keyframe_index)) += wb.transpose() * target;
-        }
-    };
-
-    static Vector6 make_translation_rotation_weights(double translation_sigma_m, double rotation_sigma_rad,
-                                                     double weight_factor) {
-        Vector6 w;
-        w << Eigen::Vector3d::Constant(weight_factor / (translation_sigma_m * translation_sigma_m)),
-            Eigen::Vector3d::Constant(weight_factor / (rotation_sigma_rad * rotation_sigma_rad));
-        return w;
-    }
-
-    Eigen::VectorXd solve_keyframe_corrections(const std::vector<double>& closure_weights) const {
-        const std::size_t n = keyframes_.size();
-        LoopClosureEquations equations{{}, Eigen::VectorXd::Zero(6 * Eigen::Index(n))};
-        const auto between_keyframes = [&](std::size_t first, std::size_t second) {
-            return get_keyframe_pose(second).translation - get_keyframe_pose(first).translation;
+            add_block(first, first, ja.transpose() * wa);
+            add_block(first, second, ja.transpose() * wb);
+            add_block(second, first, jb.transpose() * wa);
+            add_block(second, second, jb.transpose() * wb);
+            g.segment<6>(6 * Eigen::Index(first)) += wa.transpose() * target;
+            g.segment<6>(6 * Eigen::Index(second)) += wb.transpose() * target;
         };
-        for (std::size_t k = 0; k + 1 < n; ++k)
-            equations.add_relative_keyframe_constraint(
-                k, k + 1, between_keyframes(k, k + 1), Twist{},
-                make_translation_rotation_weights(
-                    kOdometrySigma_m, kOdometrySigma_rad,
-                    kKeyframeDistance_m /
-                        (get_path_length_to_keyframe_m(k + 1) - get_path_length_to_keyframe_m(k))));
+        for (std::size_t k = 0; k + 1 < keyframes_.size(); ++k)
+            add_term(k, k + 1, Twist{}, kOdometrySigma_m, kOdometrySigma_rad,
+                     kKeyframeDistance_m /
+                         (get_path_length_to_keyframe_m(k + 1) - get_path_length_to_keyframe_m(k)));
         for (std::size_t i = 0; i < closures_.size(); ++i)
-            equations.add_relative_keyframe_constraint(
-                closures_[i].earlier, closures_[i].later,
-                between_keyframes(closures_[i].earlier, closures_[i].later), closures_[i].off,
-                make_translation_rotation_weights(kClosureSigma_m, kClosureSigma_rad, closure_weights[i]));
-        for (int i = 0; i < 6; ++i) equations.h.emplace_back(i, i, 1e9);  // fixes the first pose
-        Eigen::SparseMatrix<double> h(6 * Eigen::Index(n), 6 * Eigen::Index(n));
-        h.setFromTriplets(equations.h.begin(), equations.h.end());
-        return Eigen::SimplicialLDLT<Eigen::SparseMatrix<double>>(h).solve(equations.g);
+            add_term(closures_[i].earlier, closures_[i].later, closures_[i].off, kClosureSigma_m,
+                     kClosureSigma_rad, closure_weights[i]);
+        for (int i = 0; i < 6; ++i) entries.emplace_back(i, i, 1e9);  // fixes the first pose
+        Eigen::SparseMatrix<double> h(6 * n, 6 * n);
+        h.setFromTriplets(entries.begin(), entries.end());
+        return Eigen::SimplicialLDLT<Eigen::SparseMatrix<double>>(h).solve(g);
     }
 
-    /// Converts the correction of a keyframe (a selected pose of the track) to a
-    /// correction of pose `pose_index`. Assumes that both move like one rigid body.
+    /// Returns the correction of pose `pose_index` if it moves with a keyframe like one
+    /// rigid body.
     Vector6 compute_pose_correction_from_keyframe(std::size_t pose_index, std::size_t keyframe_index,
                                                   const Eigen::VectorXd& keyframe_corrections) const {
         return make_twist_transfer_matrix(track_.pose[pose_index].translation -
@@ -376,10 +337,10 @@ private:
 
 }  // namespace
 
-LoopClosureResult close_loops(const PoseTrack& odometry_track,
-                              const std::vector<std::vector<SubsampledPoint>>& scans,
-                              const LoopClosureOptions& options) {
-    return LoopCloser(odometry_track, scans, options).detect_and_close_loops();
+LoopClosureResult close_loops(const PoseTrack& odometry_track, const SubsampledScans& scans,
+                              const RegistrationRound& first, const RegistrationRound& last,
+                              const std::function<bool(double done)>& proceed) {
+    return LoopCloser(odometry_track, scans, first, last).detect_and_close_loops(proceed);
 }
 
 }  // namespace relidar

@@ -10,14 +10,6 @@
 
 namespace relidar {
 
-struct LoopClosureOptions {
-    /// settings of the coarsest and of the finest plane map: cell size, and scale of the
-    /// robust kernel that gives outliers a low weight
-    RegistrationRound first, last;
-    /// Reports the progress, 0 to 1. If it returns false, loop closing stops.
-    std::function<bool(double done)> proceed;
-};
-
 struct LoopClosureResult {
     PoseTrack track;
     std::size_t n_closures = 0;  ///< number of loop closures
@@ -34,11 +26,12 @@ struct LoopClosureResult {
 /// where each x is a translation and a rotation that also moves all later poses.
 /// @param odometry_track  poses from odometry: accurate from scan to scan, with a drift
 /// of metres over kilometres
-/// @param scans  [poses] points of each scan; empty if a pose has no scan
-/// @return the unchanged track if fewer than two loop closures exist, or if the callback
-/// `proceed` returned false
-LoopClosureResult close_loops(const PoseTrack& odometry_track,
-                              const std::vector<std::vector<SubsampledPoint>>& scans,
-                              const LoopClosureOptions& options);
+/// @param first, last  coarsest and finest plane map (MultiScalePlaneMaps)
+/// @param proceed  reports the progress, 0 to 1; loop closing stops if it returns false
+/// @return the unchanged track if fewer than two loop closures exist or `proceed`
+/// returned false
+LoopClosureResult close_loops(const PoseTrack& odometry_track, const SubsampledScans& scans,
+                              const RegistrationRound& first, const RegistrationRound& last,
+                              const std::function<bool(double done)>& proceed);
 
 }  // namespace relidar

@@ -11,7 +11,6 @@
 #include <array>
 #include <atomic>
 #include <cmath>
-#include <span>
 #include <thread>
 #include <utility>
 
@@ -53,9 +52,7 @@ constexpr int kTrialScans = 4;
 constexpr double kTrialStep_m = 0.5, kFastest_m = 4.0, kBackwards_m = 1.0;
 
 /// Section of a log. Poses within a section are estimated one after the other.
-struct LogSection {
-    std::size_t begin, end;
-};
+using LogSection = ProcessGroup::PartRange;
 
 class SectionOdometry {
 public:
@@ -71,8 +68,7 @@ public:
             track_.pose[begin + 1] = list_alternative_pose_predictions(begin + 1).front();
     }
 
-    /// Estimates a pose and adds its scan to the map. Must be called for each pose in
-    /// order.
+    /// Must be called for each pose in order.
     void estimate_pose_and_add_scan_to_map(std::size_t pose_index, const std::vector<SubsampledPoint>& scan) {
         const std::vector<Pose> starts = pose_index == begin_ ? std::vector<Pose>{track_.pose[pose_index]}
                                                               : list_alternative_pose_predictions(pose_index);
@@ -123,8 +119,7 @@ private:
         maps_.remove_cells_last_seen_before(forgotten_m_);
     }
 
-    /// Predicts the motion from the previous pose to pose `pose_index`. Assumes the
-    /// velocity between the two previous poses.
+    /// Predicts the motion to pose `pose_index` from the velocity before the previous pose.
     Pose predict_constant_motion(std::size_t pose_index) const {
         if (pose_index < begin_ + 2) return first_motion_.value_or(Pose{});
         const std::vector<double>& t = track_.time_s;
@@ -137,8 +132,8 @@ private:
         return inverse(initial_track_.pose[pose_index - 1]) * initial_track_.pose[pose_index];
     }
 
-    /// Returns predictions of pose `pose_index`, the most likely one first. The alignment
-    /// of the scan starts from each of them.
+    /// Returns predictions of a pose, the most likely one first. The alignment of the scan
+    /// starts from each of them.
     std::vector<Pose> list_alternative_pose_predictions(std::size_t pose_index) const {
         const Pose constant_motion_pose = track_.pose[pose_index - 1] * predict_constant_motion(pose_index);
         if (!options_.use_pose_motion) return {constant_motion_pose};
@@ -150,7 +145,6 @@ private:
         return {pose_file_prediction, constant_motion_pose};
     }
 
-    /// Sets pose `pose_index`. Sets the next pose to its prediction.
     void set_pose_and_predict_next(std::size_t pose_index, const Pose& pose) {
         track_.pose[pose_index] = pose;
         if (pose_index + 1 < track_.pose.size())
@@ -176,22 +170,16 @@ private:
         return {track_.pose[pose_index], share};
     }
 
-    /// Moves pose `pose_index` by one Gauss-Newton step.
     /// @return length of the step
     double align_scan_by_one_step_and_get_length_m(std::size_t pose_index, const Pose& start_pose,
                                                    const std::vector<SubsampledPoint>& scan, int map_level,
                                                    double kernel_scale_m, double& fraction_on_planes) {
         const SinglePoseEquations equations =
-            parallel_sum_over_ranges(scan.size(), kPointsOfPart, [&](std::size_t begin, std::size_t end) {
-                SinglePoseEquations part;
-                for (const SubsampledPoint& point : std::span(scan).subspan(begin, end - begin)) {
-                    const WorldPointWithOrigin at = transform_point_to_world(track_, point);
-                    const double moves_along = point.left + 1 == pose_index ? double(point.s) : 1.0;
-                    if (const LocalPlane* plane = maps_.find_finest_plane_at(at.point_m, map_level))
-                        part.add_plane_residual(compute_plane_residual(at, *plane, kernel_scale_m),
-                                                moves_along);
-                }
-                return part;
+            sum_point_equations(scan.size(), [&](SinglePoseEquations& part, std::size_t i) {
+                const WorldPointWithOrigin at = transform_point_to_world(track_, scan[i]);
+                const double moves_along = scan[i].left + 1 == pose_index ? double(scan[i].s) : 1.0;
+                if (const LocalPlane* plane = maps_.find_finest_plane_at(at.point_m, map_level))
+                    part.add_plane_residual(compute_plane_residual(at, *plane, kernel_scale_m), moves_along);
             });
         fraction_on_planes = double(equations.count_points_on_planes()) / double(scan.size());
         if (equations.empty()) return 0.0;
@@ -202,11 +190,9 @@ private:
     }
 };
 
-/// Estimates the motion between the first two poses of a section, for logs without given
-/// poses. Tries several forward speeds. Returns the motion for which the first scans
-/// match best.
-Pose estimate_initial_forward_motion(const PoseTrack& initial_track,
-                                     const std::vector<std::vector<SubsampledPoint>>& scans,
+/// Estimates the motion between the first two poses of a section without given poses.
+/// Returns the forward motion for which the first scans match best.
+Pose estimate_initial_forward_motion(const PoseTrack& initial_track, const SubsampledScans& scans,
                                      const OdometryOptions& options, const LogSection& section) {
     Pose best;
     double best_share = -1.0;
@@ -226,8 +212,7 @@ Pose estimate_initial_forward_motion(const PoseTrack& initial_track,
 /// Estimates the poses of a section. The first pose stays unchanged.
 /// @param should_continue called before each scan
 /// @return poses of the section; empty if should_continue() returned false
-std::vector<Pose> estimate_section_poses(const PoseTrack& initial_track,
-                                         const std::vector<std::vector<SubsampledPoint>>& scans,
+std::vector<Pose> estimate_section_poses(const PoseTrack& initial_track, const SubsampledScans& scans,
                                          const OdometryOptions& options, const LogSection& section,
                                          const std::function<bool()>& should_continue) {
     SectionOdometry follower(initial_track, options, section.begin,
@@ -242,11 +227,9 @@ std::vector<Pose> estimate_section_poses(const PoseTrack& initial_track,
     return {first + std::ptrdiff_t(section.begin), first + std::ptrdiff_t(section.end)};
 }
 
-/// Joins the sections to one track. Moves each section so that its pose agrees with the
-/// previous section at the last scan that is in both sections.
+/// Joins the sections to one track. Two sections agree at the last scan that they share.
 std::vector<Pose> join_section_poses(const std::vector<LogSection>& sections,
-                                     const std::vector<Pose>& section_poses,
-                                     const std::vector<std::vector<SubsampledPoint>>& scans) {
+                                     const std::vector<Pose>& section_poses, const SubsampledScans& scans) {
     auto section_begin = section_poses.begin();  // first pose of the current section in `section_poses`
     std::vector<Pose> track(section_begin, section_begin + std::ptrdiff_t(sections.front().end));
     for (std::size_t i = 1; i < sections.size(); ++i) {
@@ -266,11 +249,9 @@ std::vector<Pose> join_section_poses(const std::vector<LogSection>& sections,
 
 }  // namespace
 
-PoseTrack estimate_odometry_poses(const PoseTrack& initial_track,
-                                  const std::vector<std::vector<SubsampledPoint>>& scans,
+PoseTrack estimate_odometry_poses(const PoseTrack& initial_track, const SubsampledScans& scans,
                                   const OdometryOptions& options) {
-    // Divides the log into overlapping sections. The last section can be up to twice as
-    // long as the previous sections.
+    // The last section can be up to twice as long as the previous sections.
     std::vector<LogSection> stretches{{0, scans.size()}};
     for (std::size_t begin = kStretch; begin + kStretch <= scans.size(); begin += kStretch) {
         stretches.back().end = begin;

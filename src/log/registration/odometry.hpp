@@ -16,11 +16,9 @@
 namespace relidar {
 
 struct OdometryOptions {
-    /// settings of the coarsest and of the finest plane map: cell size, and scale of the
-    /// robust kernel that gives outliers a low weight
-    RegistrationRound first, last;
-    /// True: the motion between scans is predicted from the given poses. False: constant
-    /// velocity is assumed.
+    RegistrationRound first, last;  ///< coarsest and finest plane map (MultiScalePlaneMaps)
+    /// The motion between scans is predicted from the given poses. False: from the
+    /// previous velocity.
     bool use_pose_motion = true;
     /// Callback with the progress, called repeatedly from the calling thread. If it
     /// returns false, the estimation stops.
@@ -30,11 +28,9 @@ struct OdometryOptions {
 
 /// Estimates the poses of a log, starting at the first pose of `initial_track`. A scan
 /// that cannot be aligned gets its predicted pose.
-/// @param scans  [poses] points of each scan; empty if a pose has no scan
 /// @return estimated poses, identical in all processes of `options.group`;
 /// `initial_track` if the callback `options.proceed` returned false
-PoseTrack estimate_odometry_poses(const PoseTrack& initial_track,
-                                  const std::vector<std::vector<SubsampledPoint>>& scans,
+PoseTrack estimate_odometry_poses(const PoseTrack& initial_track, const SubsampledScans& scans,
                                   const OdometryOptions& options);
 
 }  // namespace relidar

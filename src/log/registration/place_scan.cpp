@@ -14,11 +14,9 @@ namespace {
 // are small, because only one pose is estimated and speed does not matter.
 constexpr double kThin_m = 0.1;
 // Scale of the robust kernel: a point that is farther than this from the rendered surface
-// has a weight below 1/4. If a scan is aligned correctly, its points are closer.
+// has a weight below 1/4.
 constexpr double kScale_m = 0.05;
-// Weight of the prior that pulls the pose to its start value, relative to the mean weight
-// of the points.
-constexpr double kPosePriorWeight = 1e-4;
+constexpr double kPosePriorWeight = 1e-4;  // see SinglePoseEquations::solve_for_pose_step()
 constexpr double kConvergedStep_m = 2e-4;  // stops the iteration if a step is shorter than this
 constexpr int kMaxAlignmentSteps = 8;
 
@@ -33,18 +31,17 @@ std::vector<SelectedFrameRays> select_rays_of_frames_at_pose(const LidarSequence
                                                              std::size_t pose_index,
                                                              const RegistrationOptions& options) {
     std::vector<SelectedFrameRays> frames;
-    for (std::size_t i = 0; i < sequence.frames.size(); ++i)
-        if (sequence.frames[i].time_s == sequence.world_from_vehicle.time_s[pose_index])
-            frames.push_back({static_cast<int>(i),
-                              select_one_return_per_cell(sequence, static_cast<int>(i), options, kThin_m),
-                              {}});
-    std::erase_if(frames, [](const SelectedFrameRays& f) { return f.rays.empty(); });
-    for (SelectedFrameRays& f : frames) {
+    for (int i = 0; i < static_cast<int>(sequence.frames.size()); ++i) {
+        if (sequence.frames[std::size_t(i)].time_s != sequence.world_from_vehicle.time_s[pose_index])
+            continue;
+        SelectedFrameRays f{i, select_one_return_per_cell(sequence, i, options, kThin_m), {}};
+        if (f.rays.empty()) continue;
         f.points.resize(f.rays.size());
         parallel_for_in_blocks(f.rays.size(), [&](std::size_t index) {
             f.points[index] = make_subsampled_point(sequence, sequence.world_from_vehicle, pose_index,
                                                     f.position, f.rays[index]);
         });
+        frames.push_back(std::move(f));
     }
     return frames;
 }
@@ -66,19 +63,13 @@ ScanAlignment align_scan_with_scene(const LidarSequence& sequence, std::size_t p
         SinglePoseEquations equations;
         for (const SelectedFrameRays& f : frames) {
             const std::vector<SurfaceHit> surfaces = scene_view(f.position, f.rays, track);
-            equations += parallel_sum_over_ranges(
-                surfaces.size(), kPointsOfPart, [&](std::size_t begin, std::size_t end) {
-                    SinglePoseEquations part;
-                    for (std::size_t k = begin; k < end; ++k) {
-                        const SubsampledPoint& point = f.points[k];
-                        if (surfaces[k].normal == glm::dvec3(0.0)) continue;
-                        part.add_plane_residual(
-                            compute_plane_residual(transform_point_to_world(track, point),
-                                                   {surfaces[k].point_m, surfaces[k].normal}, kScale_m),
-                            get_interpolation_weight_of_pose(point, pose_index));
-                    }
-                    return part;
-                });
+            equations += sum_point_equations(surfaces.size(), [&](SinglePoseEquations& part, std::size_t k) {
+                if (surfaces[k].normal == glm::dvec3(0.0)) return;
+                part.add_plane_residual(
+                    compute_plane_residual(transform_point_to_world(track, f.points[k]),
+                                           {surfaces[k].point_m, surfaces[k].normal}, kScale_m),
+                    get_interpolation_weight_of_pose(f.points[k], pose_index));
+            });
         }
         result.on_surfaces = double(equations.count_points_on_planes()) / double(n);
         if (equations.empty()) return result;

@@ -25,22 +25,11 @@ constexpr std::size_t kFewestPlaced = 30;
 // The registration of a scan failed if less than this share of its points lies on planes.
 constexpr double kFewestOnPlanes = 0.05;
 
-/// Splits the indices 0 to `count` into kChunks parts. Calls task(begin, end, chunk) in
-/// parallel.
-template <class Task>
-void process_ranges_in_parallel_chunks(std::size_t count, const Task& task) {
-    const std::size_t size = count / kChunks + 1;
-    parallel_for(kChunks, [&](int c) {
-        task(std::min(count, std::size_t(c) * size), std::min(count, (std::size_t(c) + 1) * size),
-             std::size_t(c));
-    });
-}
-
 std::vector<WorldPointWithOrigin> transform_points_to_world(const PoseTrack& track,
                                                             const std::vector<SubsampledPoint>& points) {
     std::vector<WorldPointWithOrigin> placed(points.size());
-    process_ranges_in_parallel_chunks(points.size(), [&](std::size_t begin, std::size_t end, std::size_t) {
-        for (std::size_t i = begin; i < end; ++i) placed[i] = transform_point_to_world(track, points[i]);
+    parallel_for_in_blocks(points.size(), [&](std::size_t index) {
+        placed[index] = transform_point_to_world(track, points[index]);
     });
     return placed;
 }
@@ -65,12 +54,10 @@ std::vector<std::optional<LocalPlane>> fit_plane_in_each_cell(
     const PointCellGrid& cells, const std::vector<SubsampledPoint>& points,
     const std::vector<WorldPointWithOrigin>& world_points, const RegistrationRound& round) {
     std::vector<std::optional<LocalPlane>> planes(cells.size());
-    process_ranges_in_parallel_chunks(cells.size(), [&](std::size_t begin, std::size_t end, std::size_t) {
-        for (std::size_t c = begin; c < end; ++c) {
-            const std::span<const std::uint32_t> members = cells.get_point_indices_in_cell(c);
-            if (points[members.front()].pose != points[members.back()].pose)
-                planes[c] = fit_plane_robustly(world_points, members, round.cell_m, round.scale_m);
-        }
+    parallel_for_in_blocks(cells.size(), [&](std::size_t c) {
+        const std::span<const std::uint32_t> members = cells.get_point_indices_in_cell(c);
+        if (points[members.front()].pose != points[members.back()].pose)
+            planes[c] = fit_plane_robustly(world_points, members, round.cell_m, round.scale_m);
     });
     return planes;
 }
@@ -116,12 +103,12 @@ RegistrationRound PlanePoseAdjustment::adjust_poses_in_one_round(RegistrationRou
     const std::vector<std::optional<LocalPlane>> planes =
         fit_plane_in_each_cell(cells, points_, placed, round_settings);
     std::vector<PoseEquations> parts(kChunks, PoseEquations(track_.pose.size()));
-    process_ranges_in_parallel_chunks(cells.size(), [&](std::size_t begin, std::size_t end,
-                                                        std::size_t chunk) {
+    const std::size_t chunk_size = cells.size() / kChunks + 1;
+    parallel_for_ranges(cells.size(), chunk_size, [&](std::size_t begin, std::size_t end) {
         for (std::size_t c = begin; c < end; ++c)
             if (planes[c])
-                parts[chunk].add_plane_residuals_of_cell(points_, placed, cells.get_point_indices_in_cell(c),
-                                                         *planes[c], round_settings.scale_m);
+                parts[begin / chunk_size].add_plane_residuals_of_cell(
+                    points_, placed, cells.get_point_indices_in_cell(c), *planes[c], round_settings.scale_m);
     });
     for (std::size_t c = 1; c < kChunks; ++c) parts[0].add_equations(std::move(parts[c]));
     if (prior_) add_correction_prior(parts[0]);
@@ -155,9 +142,7 @@ void PlanePoseAdjustment::add_correction_prior(PoseEquations& equations) const {
 
 void PlanePoseAdjustment::remove_mean_pose_correction() {
     const auto n = double(std::count(gauge_.begin(), gauge_.end(), true));
-    // Moves all poses so that the mean of their corrections becomes zero. Three passes
-    // are needed, because the mean of rotation vectors is only approximate. Each pass
-    // removes most of the remaining mean.
+    // Three passes are needed, because the mean of rotation vectors is only approximate.
     for (int i = 0; i < 3; ++i) {
         glm::dvec3 centre(0.0), v(0.0), w(0.0);
         for (std::size_t k = 0; k < track_.pose.size(); ++k) {
@@ -233,9 +218,7 @@ double PlanePoseAdjustment::compute_deviation_from_neighbours_m(std::size_t pose
     const glm::dvec3 between =
         glm::mix(correction(before), correction(after), compute_time_fraction(before, pose_index, after));
     // The initial track can jump between this pose and one neighbour. Their corrections
-    // then differ, although both are right. So this compares the correction with three
-    // values: those of both neighbours, and an interpolation between them. The smallest
-    // difference counts.
+    // then differ, although both are right.
     double least = glm::distance(correction(pose_index), between);
     for (const std::size_t neighbour : {before, after})
         least = std::min(least, glm::distance(correction(pose_index), correction(neighbour)));
@@ -272,15 +255,11 @@ void PlanePoseAdjustment::align_pose_to_planes(const PlaneMap& map, std::size_t 
                                                const std::vector<SubsampledPoint>& points,
                                                double kernel_scale_m) {
     const SinglePoseEquations equations =
-        parallel_sum_over_ranges(points.size(), kPointsOfPart, [&](std::size_t begin, std::size_t end) {
-            SinglePoseEquations part;
-            for (const SubsampledPoint& point : std::span(points).subspan(begin, end - begin)) {
-                const WorldPointWithOrigin placed = transform_point_to_world(track_, point);
-                if (const LocalPlane* plane = map.find_plane_at(placed.point_m))
-                    part.add_plane_residual(compute_plane_residual(placed, *plane, kernel_scale_m),
-                                            get_interpolation_weight_of_pose(point, pose_index));
-            }
-            return part;
+        sum_point_equations(points.size(), [&](SinglePoseEquations& part, std::size_t i) {
+            const WorldPointWithOrigin placed = transform_point_to_world(track_, points[i]);
+            if (const LocalPlane* plane = map.find_plane_at(placed.point_m))
+                part.add_plane_residual(compute_plane_residual(placed, *plane, kernel_scale_m),
+                                        get_interpolation_weight_of_pose(points[i], pose_index));
         });
     if (!equations.empty())
         track_.pose[pose_index] =

@@ -16,6 +16,7 @@
 
 #include <relidar/base/math.hpp>
 
+#include "base/parallel.hpp"
 #include "log/registration/plane_cells.hpp"
 
 namespace relidar {
@@ -23,8 +24,7 @@ namespace relidar {
 using Vector6 = Eigen::Matrix<double, 6, 1>;
 using Matrix6 = Eigen::Matrix<double, 6, 6>;
 
-/// Distance of a point from a plane (residual), its weight, and its derivatives with
-/// respect to a pose.
+/// Distance of a point from a plane, its weight, and its derivatives by a pose.
 struct PlaneResidual {
     double residual_m, weight;
     Vector6 j;
@@ -37,7 +37,7 @@ PlaneResidual compute_plane_residual(const WorldPointWithOrigin& point, const Lo
 /// counts the points that lie on planes.
 class SinglePoseEquations {
 public:
-    /// Adds the distance of a point from its plane as a residual.
+    /// Adds the distance of a point from its plane.
     /// @param pose_motion_fraction  motion of the point / motion of the pose; below 1 if
     /// the point's position is interpolated between this pose and another pose
     void add_plane_residual(const PlaneResidual& plane_residual, double pose_motion_fraction = 1.0);
@@ -46,8 +46,7 @@ public:
     std::size_t count_points_on_planes() const { return n_on_planes_; }
     /// Solves the equations for the next Gauss-Newton step of the pose.
     /// @param prior_weight  weight of a term that pulls the total correction of the pose
-    /// to zero, relative to the mean weight of the points. It matters only in directions
-    /// that the points do not determine.
+    /// to zero, relative to the mean weight of the points
     /// @param current_correction  total correction of the pose so far
     Twist solve_for_pose_step(double prior_weight, const Twist& current_correction = {}) const;
 
@@ -56,6 +55,19 @@ private:
     Vector6 gradient_ = Vector6::Zero();
     std::size_t n_on_planes_ = 0;
 };
+
+/// Sums the equations of `n_points` points in parallel. The result does not depend on the
+/// number of threads.
+/// @param add_point  function (equations, index) that adds a point
+template <class AddPoint>
+SinglePoseEquations sum_point_equations(std::size_t n_points, const AddPoint& add_point) {
+    constexpr std::size_t kPointsOfPart = 512;
+    return parallel_sum_over_ranges(n_points, kPointsOfPart, [&](std::size_t begin, std::size_t end) {
+        SinglePoseEquations part;
+        for (std::size_t i = begin; i < end; ++i) add_point(part, i);
+        return part;
+    });
+}
 
 /// Returns the size of a pose change in metres: the distance by which points ten metres
 /// away move.
@@ -66,9 +78,8 @@ double compute_pose_change_size_m(const Twist& pose_change);
 /// @param offset_m  second point minus first point
 Matrix6 make_twist_transfer_matrix(const glm::dvec3& offset_m);
 
-/// Normal equations for all poses, summed over the cells of a grid. Partial sums must be
-/// added in the order of the cells. The result then does not depend on the number of
-/// threads.
+/// Normal equations for all poses, summed over the cells of a grid. Partial sums are
+/// added in the order of the cells, so that threads do not change the result.
 class PoseEquations {
 public:
     explicit PoseEquations(std::size_t n_poses);
@@ -84,19 +95,13 @@ public:
     void add_equations(PoseEquations&& other);
     void add_zero_correction_prior(std::size_t pose_index, const Vector6& weights,
                                    const Vector6& current_correction);
-    /// Adds a term that pulls the corrections of two consecutive poses towards each
-    /// other.
-    /// @param pose_index  index of the first pose
-    /// @param weights  weights of translations and rotations
-    /// @param correction_difference  second minus first correction
+    /// Adds a term that pulls the corrections of a pose and the next pose towards each
+    /// other. `correction_difference`: second minus first correction
     void add_correction_smoothness_prior(std::size_t pose_index, const Vector6& weights,
                                          const Vector6& correction_difference);
-
     /// Solves for the step of all poses, [n_poses,6], by conjugate gradients. The
     /// preconditioner consists of the diagonal blocks and a direct solution for rigid
-    /// motions of groups of eight poses. Without the groups, a longer log would need more
-    /// iterations.
-    /// @param track  the poses
+    /// motions of groups of eight poses, so that long logs need no more iterations.
     /// @param prior_weight  weight of the prior that pulls `current_corrections` to
     /// zero, as a share of the mean diagonal
     Eigen::VectorXd solve_for_all_pose_steps(const PoseTrack& track,

@@ -15,16 +15,14 @@
 namespace relidar {
 namespace {
 
-// Tracks of boxes whose longer horizontal side is below this length are not corrected.
-// Most are pedestrians, whose shape changes.
+// Shorter boxes are not corrected. Most are pedestrians, whose shape changes.
 constexpr double kSmallest_m = 1.2;
-// Points less than this height above the bottom of a box are ignored, because they can
-// belong to the ground.
+// Lower points of a box can belong to the ground.
 constexpr double kAboveGround_m = 0.25;
 constexpr std::size_t kFewestActorPoints = 200, kFewestPosePoints = 10, kFewestPoses = 4;
 constexpr RegistrationRound kFirstActorRound{0.8, 0.2}, kLastActorRound{0.4, 0.05};
-// The corrected track of a box replaces the labelled track only if the share (0 to 1) of
-// the object's points on fitted planes grows by at least this value.
+// The corrected track replaces the labelled track only if the share of the points on
+// planes grows by at least this value.
 constexpr double kGain = 0.02;
 // Larger corrections of a pose are rejected as errors of the registration.
 constexpr double kLargestCorrection_m = 0.6, kLargestCorrection_rad = 0.1;
@@ -115,19 +113,19 @@ std::optional<Pose> interpolate_pose_from_neighbours(const PoseTrack& track,
     return apply_twist(reference, twist);
 }
 
-/// Returns the share of points that lie on planes. A plane is fitted in each grid cell
-/// that contains points of at least two poses.
 double compute_fraction_of_actor_points_on_planes(const PlanePoseAdjustment& adjustment,
                                                   const std::vector<SubsampledPoint>& points) {
     return adjustment.compute_fraction_on_planes(adjustment.fit_planes_to_all_points(kLastActorRound), points,
                                                  kLastActorRound.scale_m);
 }
 
-/// Prepares the optimisation of the poses of a labelled box. A prior keeps the
-/// corrections of the labelled poses small and smooth.
-PlanePoseAdjustment make_actor_pose_adjustment(const PoseTrack& track, std::vector<SubsampledPoint> points,
+/// Prepares the optimisation of the poses of a labelled box, in the frame of the box. A
+/// prior keeps the corrections small and smooth.
+PlanePoseAdjustment make_actor_pose_adjustment(const BoxTrack& box, std::vector<SubsampledPoint> points,
                                                const std::vector<bool>& pose_has_points) {
-    PlanePoseAdjustment adjustment(track, track, std::move(points), pose_has_points);
+    const std::vector<double>& time_s = box.world_from_box.time_s;
+    const PoseTrack identity{time_s, std::vector<Pose>(time_s.size())};
+    PlanePoseAdjustment adjustment(identity, identity, std::move(points), pose_has_points);
     // Weights relative to a point, whose standard deviation is 0.05 m: (0.05 / standard
     // deviation in m or rad)^2. Label errors (pull): 0.15 m and 2 degrees. Changes of
     // label errors within 0.1 s (link): 0.05 m and 1 degree.
@@ -140,12 +138,6 @@ PlanePoseAdjustment make_actor_pose_adjustment(const PoseTrack& track, std::vect
     return adjustment;
 }
 
-/// Returns a track of identity poses, with the times of the given track. They mean zero
-/// correction.
-PoseTrack make_identity_poses_at_track_times(const PoseTrack& track) {
-    return {track.time_s, std::vector<Pose>(track.pose.size())};
-}
-
 /// Returns true if the points of an actor fit a fixed box about as well as a moving box.
 bool is_stationary_actor(const BoxTrack& box, const BoxFramePoints& actor_points,
                          const std::vector<bool>& pose_has_points, double moving_box_fraction_on_planes) {
@@ -156,26 +148,9 @@ bool is_stationary_actor(const BoxTrack& box, const BoxFramePoints& actor_points
     std::vector<SubsampledPoint> still = actor_points.points;
     for (SubsampledPoint& point : still)
         point.point_m = glm::vec3(inverse(middle) * transform_point_to_world(track, point).point_m);
-    const PlanePoseAdjustment adjustment =
-        make_actor_pose_adjustment(make_identity_poses_at_track_times(track), still, pose_has_points);
+    const PlanePoseAdjustment adjustment = make_actor_pose_adjustment(box, still, pose_has_points);
     return compute_fraction_of_actor_points_on_planes(adjustment, still) >=
            moving_box_fraction_on_planes - kGain;
-}
-
-/// Applies corrections, which are in the frame of the box, to the poses of a track. A
-/// pose with few points is interpolated between neighbouring poses instead.
-void apply_corrections_in_box_frame(PoseTrack& track, const PoseTrack& corrections,
-                                    const std::vector<bool>& pose_has_points) {
-    for (std::size_t k = 0; k < track.pose.size(); ++k) {
-        track.pose[k] = track.pose[k] * inverse(corrections.pose[k]);
-        track.pose[k].rotation = glm::normalize(track.pose[k].rotation);
-    }
-    const PoseTrack registered = track;
-    for (std::size_t k = 0; k < track.pose.size(); ++k)
-        if (!pose_has_points[k])
-            if (const std::optional<Pose> pose =
-                    interpolate_pose_from_neighbours(registered, pose_has_points, k))
-                track.pose[k] = *pose;
 }
 
 /// Corrects the track of a box, so that its points from all frames lie on common planes.
@@ -189,8 +164,7 @@ void refine_actor_track_by_registration(BoxTrack& box, const BoxFramePoints& act
     if (actor_points.points.size() < kFewestActorPoints ||
         std::ranges::count(has_points, true) < std::ptrdiff_t(kFewestPoses))
         return;
-    PlanePoseAdjustment adjustment = make_actor_pose_adjustment(
-        make_identity_poses_at_track_times(box.world_from_box), actor_points.points, has_points);
+    PlanePoseAdjustment adjustment = make_actor_pose_adjustment(box, actor_points.points, has_points);
     const double labelled_share = compute_fraction_of_actor_points_on_planes(adjustment, actor_points.points);
     adjustment.adjust_poses_in_rounds(kFirstActorRound, kLastActorRound, [](double) { return true; });
     const double registered_share =
@@ -211,7 +185,16 @@ void refine_actor_track_by_registration(BoxTrack& box, const BoxFramePoints& act
         return;
     }
     if (registered_share < labelled_share + kGain) return;
-    apply_corrections_in_box_frame(box.world_from_box, adjustment.track(), has_points);
+    PoseTrack& track = box.world_from_box;
+    for (std::size_t k = 0; k < track.pose.size(); ++k) {
+        track.pose[k] = track.pose[k] * inverse(adjustment.track().pose[k]);
+        track.pose[k].rotation = glm::normalize(track.pose[k].rotation);
+    }
+    const PoseTrack registered = track;
+    for (std::size_t k = 0; k < track.pose.size(); ++k)
+        if (!has_points[k])
+            track.pose[k] =
+                interpolate_pose_from_neighbours(registered, has_points, k).value_or(track.pose[k]);
     ++result.n_registered;
     moved_distances_m.push_back(lengths_m.empty() ? 0.0 : compute_median(lengths_m));
 }

@@ -23,32 +23,23 @@ namespace {
 // A grid keeps one point of a scan per cell. Largest and smallest cell size: cells of 0.5
 // m keep 12 thousand points of a 64-beam scan, cells of 0.1 m nearly all.
 constexpr double kThinned_m = 0.5, kThinnest_m = 0.1;
-// A plane is fitted to the points in a grid cell, which usually come from about this many
-// scans. In a log with fewer scans, fewer scans hit a cell. So each scan keeps more
-// points (smaller thinning cells), and planes still get enough points.
+// The points of a plane usually come from about this many scans. If the log has fewer
+// scans, each scan keeps more points (smaller thinning cells).
 constexpr double kScansOnACell = 24.0;
 constexpr RegistrationRound kLast{0.5, 0.05};  // cell size and robust-kernel scale of the last rounds
-// Cell size and robust-kernel scale of the finest map of odometry, in metres. Odometry
-// aligns one scan after the other with a map. This is less accurate than the joint
-// optimisation of all poses (kLast), so the scale is larger.
+// The same of the finest map of odometry, which is less accurate than the optimisation of
+// all poses together. So the scale is larger.
 constexpr RegistrationRound kLastFollowed{0.5, 0.1};
 constexpr int kLevels = 5, kStepsALevel = 3;  // number of levels and steps per level for held-out scans
 
-std::vector<SubsampledPoint> concatenate_scan_points(const std::vector<std::vector<SubsampledPoint>>& scans) {
-    std::vector<SubsampledPoint> points;
-    for (const std::vector<SubsampledPoint>& scan : scans)
-        points.insert(points.end(), scan.begin(), scan.end());
-    return points;
-}
-
-/// Aligns the held-out (test) scans with planes that were fitted to the training scans,
-/// from coarse to fine.
-/// @param test_scans  [sweeps] points of the held-out scans; empty for other sweeps
+/// Aligns the held-out (test) scans with planes of the training scans, coarse to fine.
 /// @return indices of the scans that could not be aligned
-std::vector<std::size_t> align_test_sweeps_to_training_planes(
-    PlanePoseAdjustment& adjustment, const std::vector<bool>& is_test_sweep,
-    const std::vector<bool>& is_training_sweep, const std::vector<std::vector<SubsampledPoint>>& test_scans,
-    const RegistrationRound& first_round, double max_deviation_m) {
+std::vector<std::size_t> align_test_sweeps_to_training_planes(PlanePoseAdjustment& adjustment,
+                                                              const std::vector<bool>& is_test_sweep,
+                                                              const std::vector<bool>& is_training_sweep,
+                                                              const SubsampledScans& test_scans,
+                                                              const RegistrationRound& first_round,
+                                                              double max_deviation_m) {
     std::vector<std::size_t> lost;
     const std::vector<Pose> as_neighbours = adjustment.track().pose;
     if (std::ranges::count(is_test_sweep, true) == 0) return lost;
@@ -98,7 +89,7 @@ std::vector<bool> keep_middle_selected_sweep(const std::vector<bool>& is_selecte
 /// Returns the share of a scan's points that lie on planes, as the median over sweeps.
 /// @param is_sweep_selected [sweeps] sweeps that are included
 double compute_median_fraction_on_planes(const PlanePoseAdjustment& adjustment, const PlaneMap& map,
-                                         const std::vector<std::vector<SubsampledPoint>>& scans,
+                                         const SubsampledScans& scans,
                                          const std::vector<bool>& is_sweep_selected) {
     std::vector<double> all(scans.size()), shares;
     parallel_for(static_cast<int>(scans.size()), [&](int index) {
@@ -135,33 +126,34 @@ RegistrationResult register_scans(const LidarSequence& sequence, const TrainTest
     const RegistrationRound first{std::max(2.0 * options.largest_m, kLast.cell_m),
                                   std::max(0.5 * options.largest_m, kLast.scale_m)};
 
-    const std::vector<std::vector<SubsampledPoint>> scans =
-        downsample_selected_sweeps(sequence, sweeps, is_train, options, thin_m);
+    const SubsampledScans scans = downsample_selected_sweeps(sequence, sweeps, is_train, options, thin_m);
     const PoseTrack followed = estimate_odometry_poses(
         sweeps.track, scans,
         {first, kLastFollowed, options.use_pose_motion, proceed("tracking the scans"), options.group});
     if (result.stopped || !options.group.is_first_process()) return result;
-    const LoopClosureResult closed = close_loops(
-        followed, scans, {first, kLastFollowed, proceed("detecting loops in the path of the vehicle")});
+    const LoopClosureResult closed = close_loops(followed, scans, first, kLastFollowed,
+                                                 proceed("detecting loops in the path of the vehicle"));
     if (result.stopped) return result;
     result.n_loop_closures = closed.n_closures;
     result.largest_loop_error_m = closed.largest_m;
 
-    PlanePoseAdjustment adjustment(sweeps.track, closed.track, concatenate_scan_points(scans),
+    std::vector<SubsampledPoint> points;
+    for (const std::vector<SubsampledPoint>& scan : scans)
+        points.insert(points.end(), scan.begin(), scan.end());
+    PlanePoseAdjustment adjustment(sweeps.track, closed.track, std::move(points),
                                    options.use_pose_motion ? is_train : keep_middle_selected_sweep(is_train));
     result.rounds = adjustment.adjust_poses_in_rounds(first, kLast, proceed("registering all scans jointly"));
     if (result.stopped) return result;
     if (result.rounds.back().planes == 0)
         fail(
-            "cannot register the scans of {}: no two of its {} training scans show the same surface; use "
-            "train.refine_poses=none to keep the poses of the log",
+            "cannot register the scans of {}: no two of its {} training scans show the same surface; try "
+            "train.refine_poses=none",
             sequence.name, split.train.size());
     const PlaneMap map = adjustment.fit_planes_to_all_points(kLast);
     result.on_planes = compute_median_fraction_on_planes(adjustment, map, scans, is_train);
     result.lost =
         adjustment.interpolate_and_list_unregistered_poses(map, is_train, kLast.scale_m, options.largest_m);
-    const std::vector<std::vector<SubsampledPoint>> held_out =
-        downsample_selected_sweeps(sequence, sweeps, is_test, options, thin_m);
+    const SubsampledScans held_out = downsample_selected_sweeps(sequence, sweeps, is_test, options, thin_m);
     const std::vector<std::size_t> lost = align_test_sweeps_to_training_planes(
         adjustment, is_test, is_train, held_out, first, options.largest_m);
     result.lost.insert(result.lost.end(), lost.begin(), lost.end());

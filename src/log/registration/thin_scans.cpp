@@ -9,19 +9,6 @@
 #include "base/parallel.hpp"
 
 namespace relidar {
-namespace {
-
-std::vector<SubsampledPoint> downsample_sweep_points(const LidarSequence& sequence,
-                                                     const SweepsToRegister& sweeps, std::size_t sweep_index,
-                                                     const RegistrationOptions& options, double cell_size_m) {
-    std::vector<SubsampledPoint> points;
-    for (const int position : sweeps.frames[sweep_index])
-        for (const std::size_t ray : select_one_return_per_cell(sequence, position, options, cell_size_m))
-            points.push_back(make_subsampled_point(sequence, sweeps.track, sweep_index, position, ray));
-    return points;
-}
-
-}  // namespace
 
 SweepsToRegister group_frames_into_sweeps(const LidarSequence& sequence) {
     const PoseTrack& vehicle_track = sequence.world_from_vehicle;
@@ -111,14 +98,16 @@ double get_interpolation_weight_of_pose(const SubsampledPoint& point, std::size_
     return point.left + 1 == pose_index ? double(point.s) : 0.0;
 }
 
-std::vector<std::vector<SubsampledPoint>> downsample_selected_sweeps(
-    const LidarSequence& sequence, const SweepsToRegister& sweeps, const std::vector<bool>& is_sweep_selected,
-    const RegistrationOptions& options, double cell_size_m) {
-    std::vector<std::vector<SubsampledPoint>> scans(is_sweep_selected.size());
+SubsampledScans downsample_selected_sweeps(const LidarSequence& sequence, const SweepsToRegister& sweeps,
+                                           const std::vector<bool>& is_sweep_selected,
+                                           const RegistrationOptions& options, double cell_size_m) {
+    SubsampledScans scans(is_sweep_selected.size());
     parallel_for(static_cast<int>(scans.size()), [&](int index) {
         const auto sweep = std::size_t(index);
-        if (is_sweep_selected[sweep])
-            scans[sweep] = downsample_sweep_points(sequence, sweeps, sweep, options, cell_size_m);
+        if (!is_sweep_selected[sweep]) return;
+        for (const int position : sweeps.frames[sweep])
+            for (const std::size_t ray : select_one_return_per_cell(sequence, position, options, cell_size_m))
+                scans[sweep].push_back(make_subsampled_point(sequence, sweeps.track, sweep, position, ray));
     });
     return scans;
 }

@@ -19,22 +19,20 @@ struct SweepsToRegister {
     std::vector<std::vector<int>> frames;  ///< [sweeps] indices in LidarSequence::frames
 };
 SweepsToRegister group_frames_into_sweeps(const LidarSequence& sequence);
-/// Corrects all poses of a log. Between registered sweeps, interpolates their
-/// corrections.
+/// Corrects all poses of a log. Interpolates the corrections between registered sweeps.
 PoseTrack apply_sweep_corrections_to_track(const PoseTrack& initial_track, const SweepsToRegister& sweeps,
                                            const PoseTrack& corrected_track);
 
-/// A measured point. It refers to the two poses of the track between which it was
-/// measured.
+/// A measured point, and the two poses of the track between which it was measured.
 struct SubsampledPoint {
     glm::vec3 point_m;  ///< position in the vehicle frame at the firing time
     float s = 0.0f;     ///< interpolation weight of the pose with index left + 1
     std::uint32_t left = 0;
     std::uint32_t pose = 0;  ///< index of the sweep that contains the point
 };
-
-/// Number of points whose equations one parallel task sums.
-inline constexpr std::size_t kPointsOfPart = 512;
+/// [sweeps] points of each scan, frame by frame in the order of the rays; empty for sweeps
+/// that are not used
+using SubsampledScans = std::vector<std::vector<SubsampledPoint>>;
 
 /// Positions in the world frame: of a point, and of the vehicle when it measured the
 /// point.
@@ -57,13 +55,9 @@ std::vector<std::size_t> select_one_return_per_cell(const LidarSequence& sequenc
 /// @param pose_index index in `track` of the pose of this frame
 SubsampledPoint make_subsampled_point(const LidarSequence& sequence, const PoseTrack& track,
                                       std::size_t pose_index, int frame_index, std::size_t ray_index);
-/// Thins the scans of selected sweeps. Keeps at most one point of a scan in each cell of
-/// a grid in the sensor frame.
-/// @param is_sweep_selected  [sweeps] true for the sweeps to use
-/// @return [sweeps] points frame by frame in the order of the rays; empty for other
-/// sweeps
-std::vector<std::vector<SubsampledPoint>> downsample_selected_sweeps(
-    const LidarSequence& sequence, const SweepsToRegister& sweeps, const std::vector<bool>& is_sweep_selected,
-    const RegistrationOptions& options, double cell_size_m);
+/// Applies select_one_return_per_cell() to the selected sweeps.
+SubsampledScans downsample_selected_sweeps(const LidarSequence& sequence, const SweepsToRegister& sweeps,
+                                           const std::vector<bool>& is_sweep_selected,
+                                           const RegistrationOptions& options, double cell_size_m);
 
 }  // namespace relidar

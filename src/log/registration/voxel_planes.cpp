@@ -14,6 +14,7 @@ constexpr double kFewestOfVoxel = 6;
 constexpr double kVoxelSpread = 0.12;
 // maximum standard deviation of the points along the normal, divided by the cell size
 constexpr double kThickness = 0.1;
+
 /// Returns the mutex that is locked while a plane is fitted to the points of a cell. All
 /// cells share 64 mutexes, because fits rarely run at the same time.
 std::mutex& get_cell_mutex(const void* cell_address) {

@@ -18,13 +18,9 @@ public:
     explicit VoxelPlaneMap(double cell_m) : cell_m_(cell_m) {}
 
     bool empty() const { return cells_.empty(); }
-    /// Adds a point to its cell.
-    /// @param travelled_distance_m distance that the sensor had driven when it measured
-    /// the point
     void add_point_to_cell(const glm::dvec3& point_m, double travelled_distance_m);
-    /// Returns the plane of the cell that contains a point. Returns null if the points of
-    /// the cell do not form a plane. Several threads can call this function at the same
-    /// time.
+    /// Returns the plane of the cell that contains a point, or null if its points do not
+    /// form a plane. Several threads can call this function at the same time.
     const LocalPlane* find_plane_at(const glm::dvec3& point_m) const;
     /// Removes the cells that were last observed before the sensor had driven
     /// `min_travelled_distance_m`.
@@ -40,9 +36,7 @@ private:
         mutable std::optional<LocalPlane> plane;
 
         bool should_refit_plane() const {
-            // If the number of points has grown by this factor, the plane is fitted
-            // again.
-            constexpr double kRefit = 1.1;
+            constexpr double kRefit = 1.1;  // growth of the number of points
             return sums.n >= kRefit * n_fitted.load(std::memory_order_acquire);
         }
     };

@@ -13,16 +13,14 @@
 namespace relidar {
 namespace {
 
-// In a firing, all lasers fire at one azimuth. This azimuth is estimated only if the
-// firing has at least this number of returns.
-constexpr std::size_t kFewest = 3;
+constexpr std::size_t kFewest = 3;   // minimum number of returns of a firing
 constexpr double kExact_rad = 1e-5;  // shifts below this value are rounding errors
-// The lasers of a firing rotate together and should have equal azimuth errors. If their
-// errors differ by more than this (median of all rays, in columns), none is estimated.
+// The lasers of a firing rotate together and should have equal azimuth errors. If they
+// differ by more than this (median of all rays, in columns), none is estimated.
 constexpr double kAgree_columns = 0.1;
 
-/// Calls visit_ray(ray, firing) for each ray of a scan. `firing` is the index of the
-/// firing (all lasers at one azimuth) within the sweep.
+/// Calls visit_ray(ray, firing) for each ray of a scan. A firing is all lasers at one
+/// azimuth.
 template <class Visit>
 void visit_rays_with_firing(const SpinningSensor& sensor, const Visit& visit_ray) {
     const auto columns = std::size_t(sensor.columns);

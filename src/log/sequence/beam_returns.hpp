@@ -10,9 +10,8 @@
 #include "base/parallel.hpp"
 
 namespace relidar {
-
-/// Returns the number of the beam that measured a ray, counted over all LiDARs of the
-/// log. Returns nothing if the ray has no return closer than max_range_m.
+/// Returns the number of the beam that measured a ray (find_global_beam_number()), or
+/// nothing if the ray has no return closer than max_range_m.
 inline std::optional<std::uint16_t> find_beam_of_return(const LidarSequence& sequence,
                                                         const LidarFrame& frame, std::size_t ray_index,
                                                         double max_range_m) {
@@ -22,8 +21,7 @@ inline std::optional<std::uint16_t> find_beam_of_return(const LidarSequence& seq
                : std::nullopt;
 }
 
-/// Returns the beams of all LiDARs. The index in the list is the beam number that
-/// find_beam_of_return() returns.
+/// Returns the beams of all LiDARs, in the order of find_beam_of_return().
 inline std::vector<Beam*> list_beams_of_all_lidars(LidarSequence& sequence) {
     std::vector<Beam*> beams;
     for (Lidar& lidar : sequence.lidars)

@@ -48,16 +48,13 @@ std::vector<ReturnWithPoint> collect_frame_returns(const LidarSequence& sequence
 }
 
 /// Numbers the cells of a world grid that contain returns.
-/// @param returns returns of all frames
-/// @param cell_size_m edge length of a cell
 ItemCellIndices assign_returns_to_cells(const std::vector<ReturnWithPoint>& returns, double cell_size_m) {
     return number_cells_and_assign_items(returns.size(), [&](std::size_t index) {
         return compute_grid_cell_key(returns[index].point_m, cell_size_m);
     });
 }
 
-/// Computes the surface normal in each cell of size kSurface_m. The normal is zero if the
-/// returns in the cell do not form a plane.
+/// Returns a normal of length zero for cells whose returns do not form a plane.
 std::vector<glm::vec3> estimate_cell_normals(const std::vector<ReturnWithPoint>& returns,
                                              const ItemCellIndices& cells) {
     const CellItemLists items(cells);

@@ -37,8 +37,7 @@ constexpr double kDamping = 1e-3;
 constexpr std::size_t kChunks = 64;  // number of partial sums, independent of the number of threads
 
 struct BeamGainOffset {
-    double gain = 1.0;
-    double offset = 0.0;
+    double gain = 1.0, offset = 0.0;
 };
 
 struct IntensityFit {
@@ -53,35 +52,23 @@ struct FittedIntensityTerms {
     bool shared, beams;
 };
 
-/// Splits returns, which are sorted by grid cell, into chunks for parallel sums. A cell
-/// is never split. Returns the first index of each chunk, and the total number.
-std::vector<std::size_t> find_chunk_bounds_between_cells(
-    const std::vector<CellReturn>& returns_sorted_by_cell) {
-    std::vector<std::size_t> bounds{0};
-    for (std::size_t c = 1; c < kChunks; ++c) {
-        std::size_t at = std::max(returns_sorted_by_cell.size() * c / kChunks, bounds.back());
-        while (at > 0 && at < returns_sorted_by_cell.size() &&
-               returns_sorted_by_cell[at].cell == returns_sorted_by_cell[at - 1].cell)
-            ++at;
-        bounds.push_back(at);
-    }
-    bounds.push_back(returns_sorted_by_cell.size());
-    return bounds;
-}
-
 /// Calls process_cell_returns(returns, chunk) for each grid cell. `returns` are the
 /// returns in the cell. The cells are divided into chunks, which run in parallel.
 template <class Task>
 void group_returns_by_cell_in_parallel(const std::vector<CellReturn>& returns_sorted_by_cell,
                                        const Task& process_cell_returns) {
-    const std::vector<std::size_t> bounds = find_chunk_bounds_between_cells(returns_sorted_by_cell);
-    parallel_for(static_cast<int>(kChunks), [&](int chunk) {
-        const std::size_t last = bounds[std::size_t(chunk) + 1];
-        for (std::size_t begin = bounds[std::size_t(chunk)], end = begin; begin < last; begin = end) {
-            while (end < last && returns_sorted_by_cell[end].cell == returns_sorted_by_cell[begin].cell)
-                ++end;
-            process_cell_returns(std::span(returns_sorted_by_cell).subspan(begin, end - begin),
-                                 std::size_t(chunk));
+    const std::span all(returns_sorted_by_cell);
+    const auto find_end_of_cell = [&](std::size_t at) {
+        while (at > 0 && at < all.size() && all[at].cell == all[at - 1].cell) ++at;
+        return at;
+    };
+    parallel_for(static_cast<int>(kChunks), [&](int index) {
+        const auto chunk = std::size_t(index);
+        const std::size_t last = find_end_of_cell(all.size() * (chunk + 1) / kChunks);
+        for (std::size_t begin = find_end_of_cell(all.size() * chunk / kChunks), end; begin < last;
+             begin = end) {
+            end = find_end_of_cell(begin + 1);
+            process_cell_returns(all.subspan(begin, end - begin), chunk);
         }
     });
 }
@@ -104,22 +91,16 @@ void fit_albedo_of_each_cell(IntensityFit& model, const RepeatedCellReturns& ret
 /// Indices of the variables of the linear system: intensity factor at each sampled range,
 /// incidence factor, then gain and offset of each beam.
 struct VariableIndices {
+    static constexpr auto kIncidence = Eigen::Index(kKnots_m.size());
     FittedIntensityTerms parts;
     std::size_t n_beams;
-    Eigen::Index get_variable_index_of_range_factor(std::size_t range_knot) const {
-        return Eigen::Index(range_knot);
-    }
-    Eigen::Index get_variable_index_of_incidence_factor() const { return Eigen::Index(kKnots_m.size()); }
+
+    /// The index of the offset is the next one.
     Eigen::Index get_variable_index_of_beam_gain(std::size_t beam_index) const {
-        return (parts.shared ? get_variable_index_of_incidence_factor() + 1 : 0) +
-               2 * Eigen::Index(beam_index);
-    }
-    Eigen::Index get_variable_index_of_beam_offset(std::size_t beam_index) const {
-        return get_variable_index_of_beam_gain(beam_index) + 1;
+        return (parts.shared ? kIncidence + 1 : 0) + 2 * Eigen::Index(beam_index);
     }
     Eigen::Index size() const { return get_variable_index_of_beam_gain(parts.beams ? n_beams : 0); }
 };
-
 /// Nonzero derivatives of the expected intensity of one return: by two range factors,
 /// incidence factor, beam gain and beam offset, in this order.
 struct IntensityJacobianRow {
@@ -128,17 +109,13 @@ struct IntensityJacobianRow {
     /// `by_albedo`: derivative of the expected intensity with respect to the albedo of
     /// the surface. `error`: measured minus expected intensity.
     double by_albedo, error;
-    void append_derivative_by_variable(Eigen::Index variable_index, double derivative) {
-        by[n++] = {variable_index, derivative};
-    }
 };
 
 IntensityJacobianRow compute_intensity_jacobian_row(const IntensityFit& model,
                                                     const VariableIndices& variable_indices,
                                                     const CellReturn& measured_return) {
     const BeamGainOffset& beam = model.beams[measured_return.beam];
-    // Finds the two sampled ranges around `range_m`: kKnots_m[knot], where s = 0, and
-    // kKnots_m[knot + 1], where s = 1. Outside all sampled ranges, `s` is clamped.
+    // `s` is 0 at kKnots_m[knot] and 1 at the next sampled range.
     const double range_m = measured_return.range_m;
     const auto after = std::upper_bound(kKnots_m.begin(), kKnots_m.end(), range_m);
     const std::size_t knot = std::size_t(
@@ -151,19 +128,19 @@ IntensityJacobianRow compute_intensity_jacobian_row(const IntensityFit& model,
                              0,
                              beam.gain * rho * kappa,
                              double(measured_return.intensity) - beam.gain * mean_beam - beam.offset};
+    const auto append = [&](Eigen::Index variable, double derivative) {
+        row.by[row.n++] = {variable, derivative};
+    };
     if (variable_indices.parts.shared) {
-        row.append_derivative_by_variable(variable_indices.get_variable_index_of_range_factor(knot),
-                                          beam.gain * albedo * kappa * (1.0 - s));
-        row.append_derivative_by_variable(variable_indices.get_variable_index_of_range_factor(knot + 1),
-                                          beam.gain * albedo * kappa * s);
-        row.append_derivative_by_variable(variable_indices.get_variable_index_of_incidence_factor(),
-                                          -beam.gain * albedo * rho * (1.0 - double(measured_return.cosine)));
+        append(Eigen::Index(knot), beam.gain * albedo * kappa * (1.0 - s));
+        append(Eigen::Index(knot) + 1, beam.gain * albedo * kappa * s);
+        append(VariableIndices::kIncidence,
+               -beam.gain * albedo * rho * (1.0 - double(measured_return.cosine)));
     }
     if (variable_indices.parts.beams) {
-        row.append_derivative_by_variable(
-            variable_indices.get_variable_index_of_beam_gain(measured_return.beam), mean_beam);
-        row.append_derivative_by_variable(
-            variable_indices.get_variable_index_of_beam_offset(measured_return.beam), 1.0);
+        const Eigen::Index gain = variable_indices.get_variable_index_of_beam_gain(measured_return.beam);
+        append(gain, mean_beam);
+        append(gain + 1, 1.0);
     }
     return row;
 }
@@ -179,8 +156,7 @@ struct NormalEquations {
 /// threads write to neighbouring elements.
 struct alignas(64) Sums {
     NormalEquations system;
-    // [unknowns] column of the normal matrix that belongs to the albedo of the current
-    // grid cell; reset to zero after each cell
+    // [unknowns] column of the albedo of the current grid cell
     std::vector<double> coupling;
     std::vector<Eigen::Index> touched;  // unknowns with a nonzero entry in `coupling`
     double sum = 0.0, squares = 0.0;    // sum and sum of squares of the expected intensities
@@ -245,43 +221,35 @@ void add_intensity_priors_to_equations(NormalEquations& equations, const Intensi
     };
     const double prior =
         kResponsePrior * (equations.mean * equations.mean + equations.spread * equations.spread);
-    // If the intensity factor over range is fitted (`shared`), a prior smooths it. It
-    // pulls the factor at range kKnots_m[k] towards linear interpolation between the
-    // factors k - 1 and k + 1. It matters only at ranges with few returns.
+    // A prior pulls the factor at range kKnots_m[k] towards linear interpolation between
+    // the factors k - 1 and k + 1. It matters only at ranges with few returns.
     for (std::size_t k = 1; variable_indices.parts.shared && k + 1 < kKnots_m.size(); ++k) {
         const double before = kKnots_m[k] - kKnots_m[k - 1], after = kKnots_m[k + 1] - kKnots_m[k];
         const Eigen::Vector3d bend = Eigen::Vector3d(after, -(before + after), before) / (before + after),
                               now(model.shared.factor[k - 1], model.shared.factor[k],
                                   model.shared.factor[k + 1]);
-        equations.h.block<3, 3>(variable_indices.get_variable_index_of_range_factor(k - 1),
-                                variable_indices.get_variable_index_of_range_factor(k - 1)) +=
-            prior * bend * bend.transpose();
-        equations.g.segment<3>(variable_indices.get_variable_index_of_range_factor(k - 1)) -=
-            prior * bend * bend.dot(now);
+        const auto at = Eigen::Index(k - 1);
+        equations.h.block<3, 3>(at, at) += prior * bend * bend.transpose();
+        equations.g.segment<3>(at) -= prior * bend * bend.dot(now);
     }
     if (variable_indices.parts.shared) {
         // Doubling all albedos and halving all range factors gives the same intensities.
         // Therefore the range factor is fixed to 1 at one range.
-        pull(variable_indices.get_variable_index_of_range_factor(kReference), 1e3 * prior,
-             1.0 - model.shared.factor[kReference]);
+        pull(kReference, 1e3 * prior, 1.0 - model.shared.factor[kReference]);
         for (std::size_t k = 0; k < kKnots_m.size(); ++k)
-            pull(variable_indices.get_variable_index_of_range_factor(k), 1e-3 * prior,
-                 1.0 - model.shared.factor[k]);
-        pull(variable_indices.get_variable_index_of_incidence_factor(), 1e-3 * prior,
-             -model.shared.incidence);
+            pull(Eigen::Index(k), 1e-3 * prior, 1.0 - model.shared.factor[k]);
+        pull(VariableIndices::kIncidence, 1e-3 * prior, -model.shared.incidence);
     }
     for (std::size_t b = 0; variable_indices.parts.beams && b < model.beams.size(); ++b)
         for (const double x : {equations.mean - equations.spread, equations.mean + equations.spread}) {
             const double weight = 0.5 * kResponsePrior,
                          error = x - model.beams[b].gain * x - model.beams[b].offset;
-            equations.h(variable_indices.get_variable_index_of_beam_gain(b),
-                        variable_indices.get_variable_index_of_beam_gain(b)) += weight * x * x;
-            equations.h(variable_indices.get_variable_index_of_beam_offset(b),
-                        variable_indices.get_variable_index_of_beam_offset(b)) += weight;
-            equations.h(variable_indices.get_variable_index_of_beam_offset(b),
-                        variable_indices.get_variable_index_of_beam_gain(b)) += weight * x;
-            equations.g[variable_indices.get_variable_index_of_beam_gain(b)] += weight * x * error;
-            equations.g[variable_indices.get_variable_index_of_beam_offset(b)] += weight * error;
+            const Eigen::Index gain = variable_indices.get_variable_index_of_beam_gain(b);
+            equations.h(gain, gain) += weight * x * x;
+            equations.h(gain + 1, gain + 1) += weight;
+            equations.h(gain + 1, gain) += weight * x;
+            equations.g[gain] += weight * x * error;
+            equations.g[gain + 1] += weight * error;
         }
 }
 
@@ -289,18 +257,15 @@ void add_solver_step_to_model(IntensityFit& model, const VariableIndices& variab
                               const Eigen::VectorXd& step) {
     if (variable_indices.parts.shared) {
         for (std::size_t k = 0; k < model.shared.factor.size(); ++k)
-            model.shared.factor[k] = std::clamp(
-                model.shared.factor[k] + step[variable_indices.get_variable_index_of_range_factor(k)],
-                kMinFactor, kMaxFactor);
-        model.shared.incidence = std::clamp(
-            model.shared.incidence + step[variable_indices.get_variable_index_of_incidence_factor()], 0.0,
-            kMaxIncidence);
+            model.shared.factor[k] =
+                std::clamp(model.shared.factor[k] + step[Eigen::Index(k)], kMinFactor, kMaxFactor);
+        model.shared.incidence =
+            std::clamp(model.shared.incidence + step[VariableIndices::kIncidence], 0.0, kMaxIncidence);
     }
     for (std::size_t b = 0; variable_indices.parts.beams && b < model.beams.size(); ++b) {
-        model.beams[b].gain =
-            std::clamp(model.beams[b].gain + step[variable_indices.get_variable_index_of_beam_gain(b)],
-                       kMinGain, kMaxGain);
-        model.beams[b].offset += step[variable_indices.get_variable_index_of_beam_offset(b)];
+        const Eigen::Index gain = variable_indices.get_variable_index_of_beam_gain(b);
+        model.beams[b].gain = std::clamp(model.beams[b].gain + step[gain], kMinGain, kMaxGain);
+        model.beams[b].offset += step[gain + 1];
     }
 }
 

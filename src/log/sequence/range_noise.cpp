@@ -24,8 +24,7 @@ constexpr std::size_t kBins = kRanges_m.size() * kCosines.size();
 constexpr std::size_t kMostNoiseReturns = 3000000, kFewestOfBin = 200;
 // Second differences of ranges above this limit are caused by edges and not by noise.
 constexpr float kEdge_m = 0.5f;
-// For a normal distribution, the standard deviation is this factor times the median
-// absolute value.
+// Standard deviation / median absolute value of a normal distribution.
 constexpr double kOfMedian = 1.4826;
 
 using DifferencesByBin = std::array<std::vector<float>, kBins>;
@@ -60,9 +59,8 @@ DifferencesByBin collect_neighbour_range_differences(const LidarFrame& frame) {
     return result;
 }
 
-/// Fills bins that have too few returns. Uses the noise at the same incidence in the next
-/// nearer range, or else in the next farther range. If neither exists, uses the maximum
-/// over all bins.
+/// Fills bins that have too few returns, at the same incidence from the next nearer range
+/// or else from the next farther range. If neither exists, uses the maximum of all bins.
 void fill_empty_bins_from_neighbour_ranges(RangeNoiseTable& noise) {
     const std::size_t n_cosines = kCosines.size();
     for (std::size_t i = 0; i < noise.sigma_m.size(); ++i)
@@ -75,8 +73,8 @@ void fill_empty_bins_from_neighbour_ranges(RangeNoiseTable& noise) {
             noise.sigma_m[i] = *std::max_element(noise.sigma_m.begin(), noise.sigma_m.end());
 }
 
-/// Estimates the range noise of one LiDAR, and counts the returns that were used. The
-/// noise table is empty if no bin has enough returns.
+/// Estimates the range noise of one LiDAR, and counts the returns that were used. Without
+/// a bin of enough returns, the table is empty.
 std::pair<RangeNoiseTable, std::size_t> estimate_range_noise(
     const std::vector<DifferencesByBin>& differences_by_frame) {
     RangeNoiseTable noise{{kRanges_m.begin(), kRanges_m.end()},

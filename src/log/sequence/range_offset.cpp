@@ -20,15 +20,13 @@ namespace {
 // Edge length of the grid cells in which planes are fitted. In a smaller cell, noise
 // would hide the plane. In a larger cell, a street would not be flat.
 constexpr double kCell_m = 0.3;
-// Farther returns are ignored, because cells at this distance contain too few returns for
-// a plane.
+// Farther cells contain too few returns for a plane.
 constexpr double kMaxRange_m = 40.0;
 constexpr std::size_t kMostOffsetReturns = 6000000;
 constexpr int kMinReturns = 20;  // minimum number of returns in a cell for fitting a plane
 // This limit applies twice. Points form a plane if their standard deviation is at most
 // this along the normal, and at least this in both directions within the plane.
 constexpr double kMaxThickness_m = 0.05;
-// Points farther from the plane of their cell belong to another object and are ignored.
 constexpr double kMaxResidual_m = 0.15;
 // A prior pulls the range offset of each beam to zero. It has the same weight as this
 // number of returns at normal incidence.
@@ -36,8 +34,7 @@ constexpr double kPriorReturns = 20.0;
 // The range offsets are used only if they reduce the RMS distance of points from planes
 // to less than this ratio. Smaller improvements can be noise.
 constexpr double kLeastGain = 0.97;
-// Iterations of fitting planes and beam offsets. Many are needed if few beams hit a
-// plane.
+// Iterations of fitting planes and beam offsets. Few beams on a plane need many.
 constexpr int kRounds = 30;
 
 /// A return in the world frame, not yet corrected by the range offset of its beam.
@@ -95,8 +92,7 @@ glm::dvec3 compute_offset_corrected_point(const UncorrectedReturn& uncorrected_r
 }
 
 struct CellPlane {
-    glm::dvec3 point;
-    glm::dvec3 normal;
+    glm::dvec3 point, normal;
 };
 
 std::optional<CellPlane> fit_plane_to_returns(std::span<const UncorrectedReturn> cell_returns,
@@ -117,8 +113,7 @@ std::optional<CellPlane> fit_plane_to_returns(std::span<const UncorrectedReturn>
 /// sum of c * c and `sum` is the sum of c * d over its returns. c: cosine of incidence.
 /// d: distance of the uncorrected return from a plane.
 struct BeamOffsetSums {
-    double weight = 0.0;
-    double sum = 0.0;
+    double weight = 0.0, sum = 0.0;
 };
 
 /// Sums of the residuals in some cells, by beam.
@@ -126,23 +121,6 @@ struct BeamResiduals {
     std::vector<BeamOffsetSums> fits;  ///< [beams]
     std::size_t n = 0;
     double squares = 0.0;
-
-    void add_return_plane_residual(const UncorrectedReturn& uncorrected_return, const CellPlane& plane,
-                                   const std::vector<double>& beam_offsets_m) {
-        const double facing = glm::dot(plane.normal, glm::dvec3(uncorrected_return.direction)),
-                     residual = glm::dot(
-                         plane.normal,
-                         compute_offset_corrected_point(uncorrected_return, beam_offsets_m) - plane.point);
-        if (facing == 0.0 || std::abs(residual) > kMaxResidual_m) return;
-        ++n;
-        squares += residual * residual;
-        fits[uncorrected_return.beam].weight += facing * facing;
-        // Adds the current range offset back to `residual`, which gives the distance of
-        // the uncorrected return from the plane. Then sum / weight is the total range
-        // offset. It must be the total, because a prior pulls it to zero.
-        fits[uncorrected_return.beam].sum +=
-            facing * (residual + beam_offsets_m[uncorrected_return.beam] * facing);
-    }
     BeamResiduals& operator+=(const BeamResiduals& other) {
         n += other.n;
         squares += other.squares;
@@ -167,35 +145,23 @@ BeamResiduals sum_plane_residuals_by_beam(const ReturnsByCell& cells,
             const std::span<const UncorrectedReturn> cell_returns = cells.get_cell_returns(cell);
             const std::optional<CellPlane> plane = fit_plane_to_returns(cell_returns, beam_offsets_m);
             if (!plane) continue;
-            for (const UncorrectedReturn& o : cell_returns)
-                block.add_return_plane_residual(o, *plane, beam_offsets_m);
+            for (const UncorrectedReturn& o : cell_returns) {
+                const double facing = glm::dot(plane->normal, glm::dvec3(o.direction)),
+                             residual =
+                                 glm::dot(plane->normal,
+                                          compute_offset_corrected_point(o, beam_offsets_m) - plane->point);
+                if (facing == 0.0 || std::abs(residual) > kMaxResidual_m) continue;
+                ++block.n;
+                block.squares += residual * residual;
+                block.fits[o.beam].weight += facing * facing;
+                // The distance of the uncorrected return. Then sum / weight is the total
+                // range offset, which the prior pulls to zero.
+                block.fits[o.beam].sum += facing * (residual + beam_offsets_m[o.beam] * facing);
+            }
         }
         return block;
     });
     return all;
-}
-
-/// Number of returns on planes, and their mean squared distance from the planes.
-struct PlaneFitQuality {
-    std::size_t n_returns;
-    double mean_square_m2;
-};
-
-/// Improves the range offsets of all beams by one iteration.
-/// @return quality before the iteration
-PlaneFitQuality refine_beam_range_offsets_once(const ReturnsByCell& cells,
-                                               std::vector<double>& beam_offsets_m) {
-    const BeamResiduals r = sum_plane_residuals_by_beam(cells, beam_offsets_m);
-    double mean = 0.0, weight = 0.0;
-    for (std::size_t b = 0; b < beam_offsets_m.size(); ++b) {
-        beam_offsets_m[b] = r.fits[b].sum / r.fits[b].weight;
-        mean += r.fits[b].weight * beam_offsets_m[b];
-        weight += r.fits[b].weight;
-    }
-    // Removes the mean offset. An offset of all beams moves planes and points together,
-    // so it cannot be measured.
-    for (double& offset : beam_offsets_m) offset -= mean / weight;
-    return {r.n, r.n > 0 ? r.squares / double(r.n) : 0.0};
 }
 
 }  // namespace
@@ -209,9 +175,17 @@ RangeCalibrationResult fit_and_set_range_offset_of_beams(LidarSequence& sequence
     if (cells.returns.empty()) return result;
     std::vector<double> offset_m(beams.size(), 0.0);
     for (int round = 0; round < kRounds; ++round) {
-        const PlaneFitQuality quality = refine_beam_range_offsets_once(cells, offset_m);
-        result.returns = quality.n_returns;
-        result.rms_after = std::sqrt(quality.mean_square_m2);
+        const BeamResiduals r = sum_plane_residuals_by_beam(cells, offset_m);
+        double mean = 0.0, weight = 0.0;
+        for (std::size_t b = 0; b < offset_m.size(); ++b) {
+            offset_m[b] = r.fits[b].sum / r.fits[b].weight;
+            mean += r.fits[b].weight * offset_m[b];
+            weight += r.fits[b].weight;
+        }
+        // An offset of all beams moves planes and points together, so it cannot be measured.
+        for (double& offset : offset_m) offset -= mean / weight;
+        result.returns = r.n;
+        result.rms_after = std::sqrt(r.n > 0 ? r.squares / double(r.n) : 0.0);
         if (round == 0) result.rms_before = result.rms_after;
     }
     if (result.rms_after > kLeastGain * result.rms_before) return result;

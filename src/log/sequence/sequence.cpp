@@ -6,7 +6,6 @@
 #include <algorithm>
 #include <cmath>
 #include <complex>
-#include <limits>
 #include <numeric>
 
 #include <fmt/format.h>
@@ -18,18 +17,6 @@
 #include "base/parallel.hpp"
 
 namespace relidar {
-namespace {
-
-TrackInterpolation find_pose_segment_at_time(const std::vector<double>& track_times_s, double t_s) {
-    const auto after = std::upper_bound(track_times_s.begin(), track_times_s.end(), t_s);
-    const std::ptrdiff_t last = static_cast<std::ptrdiff_t>(track_times_s.size()) - 2;
-    const std::size_t left =
-        static_cast<std::size_t>(std::clamp<std::ptrdiff_t>(after - track_times_s.begin() - 1, 0, last));
-    const double span = track_times_s[left + 1] - track_times_s[left];
-    return {left, span > 0.0 ? (t_s - track_times_s[left]) / span : 0.0};
-}
-
-}  // namespace
 
 bool BoxTrack::is_observed_at_time(double t_s) const {
     const PoseTrack& track = world_from_box;
@@ -55,7 +42,7 @@ bool BoxTrack::contains_point(const glm::dvec3& point_m, double t_s, double marg
     // For a moving box, first rejects points outside the bounding sphere. This fast test
     // avoids the slow interpolation of the rotation for most points.
     if (track.pose.size() > 1) {
-        const TrackInterpolation at = find_pose_segment_at_time(track.time_s, t_s);
+        const TrackInterpolation at = track.find_poses_before_and_after_time(t_s);
         const glm::dvec3 centre =
             glm::mix(track.pose[at.left].translation, track.pose[at.left + 1].translation, at.s);
         const glm::dvec3 d = point_m - centre;
@@ -66,12 +53,15 @@ bool BoxTrack::contains_point(const glm::dvec3& point_m, double t_s, double marg
 }
 
 TrackInterpolation PoseTrack::find_poses_before_and_after_time(double t_s) const {
-    if (pose.empty() || pose.size() != time_s.size()) {
-        fail(
-            "found a pose track with {} poses at {} times, expected at least one of each and the same number",
-            pose.size(), time_s.size());
-    }
-    return pose.size() == 1 ? TrackInterpolation{} : find_pose_segment_at_time(time_s, t_s);
+    if (pose.empty() || pose.size() != time_s.size())
+        fail("found a pose track with {} poses at {} times, expected the same number, at least one",
+             pose.size(), time_s.size());
+    if (pose.size() == 1) return {};
+    const auto after = std::ranges::upper_bound(time_s, t_s) - time_s.begin();
+    const auto left =
+        std::size_t(std::clamp<std::ptrdiff_t>(after - 1, 0, std::ptrdiff_t(time_s.size()) - 2));
+    const double span = time_s[left + 1] - time_s[left];
+    return {left, span > 0.0 ? (t_s - time_s[left]) / span : 0.0};
 }
 
 Pose PoseTrack::interpolate_pose(double t_s) const {
@@ -87,8 +77,7 @@ Pose PoseTrack::interpolate_mounted_pose(double t_s, const Pose& carrier_from_mo
 }
 
 std::size_t Scan::count_returns() const {
-    return static_cast<std::size_t>(
-        std::count_if(range_m.begin(), range_m.end(), [](float r) { return r > 0.0f; }));
+    return std::size_t(std::ranges::count_if(range_m, [](float r) { return r > 0.0f; }));
 }
 
 void remove_returns_outside_limits(Scan& scan, const RangeLimits& limits) {
@@ -198,32 +187,20 @@ PoseTrack add_offset_to_track_positions(PoseTrack track, const glm::dvec3& offse
     return track;
 }
 
-namespace {
-
-/// Returns the mean position of a track within a time interval. Returns nothing if the
-/// interval contains no pose.
-std::optional<glm::dvec3> compute_mean_position(const PoseTrack& track, double first_s, double last_s) {
-    constexpr double kSame_s = 1e-6;
-    glm::dvec3 sum(0.0);
-    std::size_t n = 0;
-    for (auto i =
-             std::size_t(std::ranges::lower_bound(track.time_s, first_s - kSame_s) - track.time_s.begin());
-         i < track.time_s.size() && track.time_s[i] <= last_s + kSame_s; ++i, ++n)
-        sum += track.pose[i].translation;
-    return n == 0 ? std::nullopt : std::optional(sum / double(n));
-}
-
-}  // namespace
-
 bool BoxTrack::is_moving() const {
-    constexpr double kSmooth_s = 1.0, kJitter_m = 0.2, kDrift_m = 2.0, kDrift_mps = 0.5;
+    constexpr double kSmooth_s = 1.0, kJitter_m = 0.2, kDrift_m = 2.0, kDrift_mps = 0.5, kSame_s = 1e-6;
     const std::vector<double>& t = world_from_box.time_s;
     if (t.size() < 2) return false;
     const double window_s = std::min(kSmooth_s, 0.5 * (t.back() - t.front())), last_s = t.back() - window_s;
     const double drift_m = std::max(kJitter_m, std::min(kDrift_m, 0.5 * std::max(size_m.x, size_m.y)));
     const double step_m = std::max(kJitter_m, kDrift_mps * window_s);
-    const auto compute_window_mean = [&](double first_s) {
-        return compute_mean_position(world_from_box, first_s, first_s + window_s);
+    const auto compute_window_mean = [&](double first_s) -> std::optional<glm::dvec3> {
+        glm::dvec3 sum(0.0);
+        std::size_t n = 0;
+        for (auto i = std::size_t(std::ranges::lower_bound(t, first_s - kSame_s) - t.begin());
+             i < t.size() && t[i] <= first_s + window_s + kSame_s; ++i, ++n)
+            sum += world_from_box.pose[i].translation;
+        return n == 0 ? std::nullopt : std::optional(sum / double(n));
     };
     const std::optional<glm::dvec3> start = compute_window_mean(t.front());
     for (const double time_s : t) {
@@ -251,6 +228,10 @@ void set_vehicle_poses(LidarSequence& sequence, PoseTrack world_from_vehicle) {
 
 namespace {
 
+// If the start of a sweep differs from the default by at most this fraction of the
+// period, the default start is used.
+constexpr double kUsual = 0.02;
+
 double compute_firing_time_s(double frame_time_s, const RayTable& rays, std::size_t ray,
                              bool rolling_shutter) {
     return rolling_shutter ? frame_time_s + static_cast<double>(rays.time_offset_s[ray]) : frame_time_s;
@@ -270,28 +251,6 @@ WorldRay make_world_ray(const PoseTrack& world_from_sensor, double time_s, const
         ray);
 }
 
-namespace {
-
-// If the start of a sweep differs from the default by at most this fraction of the
-// period, the default start is used.
-constexpr double kUsual = 0.02;
-
-/// Rotation of a LiDAR's head in one sweep, estimated from its rays.
-struct HeadRotation {
-    /// Sum of exp(i * azimuth) over a sample of the rays. Here `azimuth` is one ray's
-    /// estimate of the azimuth of the head at time 0.
-    std::complex<double> at_zero = 0.0;
-    float first_s = std::numeric_limits<float>::infinity();
-
-    HeadRotation& operator+=(const HeadRotation& other) {
-        at_zero += other.at_zero;
-        first_s = std::min(first_s, other.first_s);
-        return *this;
-    }
-};
-
-}  // namespace
-
 std::optional<SweepStart> find_sweep_start(const RayTable& rays, const SpinningSensor& sensor) {
     // Each ray gives an estimate of the head's azimuth at time 0, as a unit vector. If
     // the mean of these vectors is shorter than this, the rays do not come from one
@@ -300,25 +259,21 @@ std::optional<SweepStart> find_sweep_start(const RayTable& rays, const SpinningS
     if (!(sensor.period_s > 0.0) || rays.size() == 0) return {};
     const double rad_per_s = (sensor.clockwise ? -2.0 : 2.0) * kPi / sensor.period_s;
     const std::size_t step = 1 + rays.size() / 4096, n = (rays.size() + step - 1) / step;
-    const HeadRotation head_rotation =
-        parallel_sum_over_ranges(n, 256, [&](std::size_t begin, std::size_t end) {
-            HeadRotation part;
-            const std::size_t last = std::min(end * step, rays.size());
-            for (std::size_t i = begin * step; i < last; i += step) {
-                const double azimuth = std::atan2(double(rays.direction[i].y), double(rays.direction[i].x));
-                part.at_zero += std::polar(1.0, azimuth - rad_per_s * double(rays.time_offset_s[i]));
-            }
-            for (std::size_t i = begin * step; i < last; ++i)
-                part.first_s = std::min(part.first_s, rays.time_offset_s[i]);
-            return part;
-        });
-    const float first_s = head_rotation.first_s;
-    if (std::abs(head_rotation.at_zero) < kTogether * double(n)) return {};
-    const double at_zero = std::arg(head_rotation.at_zero);
-    const bool usual = std::abs(at_zero) < 2.0 * kPi * kUsual &&
-                       std::abs(double(first_s) + 0.5 * sensor.period_s) < kUsual * sensor.period_s;
-    if (usual) return {};
-    return SweepStart{std::remainder(at_zero + rad_per_s * double(first_s), 2.0 * kPi), double(first_s)};
+    const auto sum_at_zero = parallel_sum_over_ranges(n, 256, [&](std::size_t begin, std::size_t end) {
+        std::complex<double> part = 0.0;
+        for (std::size_t i = begin * step; i < std::min(end * step, rays.size()); i += step) {
+            const double azimuth = std::atan2(double(rays.direction[i].y), double(rays.direction[i].x));
+            part += std::polar(1.0, azimuth - rad_per_s * double(rays.time_offset_s[i]));
+        }
+        return part;
+    });
+    const double first_s = double(std::ranges::min(rays.time_offset_s));
+    if (std::abs(sum_at_zero) < kTogether * double(n)) return {};
+    const double at_zero = std::arg(sum_at_zero);
+    if (std::abs(at_zero) < 2.0 * kPi * kUsual &&
+        std::abs(first_s + 0.5 * sensor.period_s) < kUsual * sensor.period_s)
+        return {};
+    return SweepStart{std::remainder(at_zero + rad_per_s * first_s, 2.0 * kPi), first_s};
 }
 
 std::optional<SweepStart> find_sweep_start(const RayTable& rays, const Lidar& lidar) {
@@ -355,30 +310,21 @@ RayTable make_nominal_rays(const Lidar& lidar, double time_s) {
     return lidar.sensor.beams.empty() ? RayTable{} : make_rays(lidar.sensor);
 }
 
-namespace {
-
-/// Returns the time at which a LiDAR that does not spin measures an azimuth, relative to
-/// the time of the frame.
-double compute_azimuth_time_offset_s(const SensorPattern& pattern, double azimuth_rad,
-                                     const std::optional<SweepStart>& sweep_start) {
-    const auto [n_rays, period_s, by_time, sweep] = summarise_scan_pattern(pattern);
-    const double middle_s = sweep_start ? sweep_start->time_s + 0.5 * period_s : 0.0;
-    if (!sweep || sweep->columns < 2) return middle_s;
-    const double share =
-        glm::clamp((azimuth_rad - sweep->first_rad) / (sweep->last_rad - sweep->first_rad), 0.0, 1.0);
-    return middle_s + (share - 0.5) * period_s * (sweep->columns - 1) / sweep->columns;
-}
-
-}  // namespace
-
 double compute_time_when_lidar_faces_point_s(const LidarSequence& sequence, const glm::dvec3& point_m,
                                              const SweepTiming& sweep) {
     const Lidar& lidar = sequence.lidars[std::size_t(sweep.lidar)];
     const SpinningSensor& sensor = lidar.sensor;
     if (!sequence.rolling_shutter) return sweep.time_s;
     const double azimuth = std::atan2(point_m.y, point_m.x);
-    if (lidar.pattern)
-        return sweep.time_s + compute_azimuth_time_offset_s(*lidar.pattern, azimuth, sweep.start);
+    if (lidar.pattern) {
+        const auto [n_rays, period_s, by_time, columns] = summarise_scan_pattern(*lidar.pattern);
+        const double middle_s = sweep.start ? sweep.start->time_s + 0.5 * period_s : 0.0;
+        if (!columns || columns->columns < 2) return sweep.time_s + middle_s;
+        const double share =
+            glm::clamp((azimuth - columns->first_rad) / (columns->last_rad - columns->first_rad), 0.0, 1.0);
+        return sweep.time_s +
+               (middle_s + (share - 0.5) * period_s * (columns->columns - 1) / columns->columns);
+    }
     if (sweep.start) {
         const double turned =
             (sensor.clockwise ? -1.0 : 1.0) * (azimuth - sweep.start->azimuth_rad) / (2.0 * kPi);

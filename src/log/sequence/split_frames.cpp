@@ -24,28 +24,20 @@ namespace {
 constexpr int kPublishedEvery = 10;
 constexpr const char* kSetting = "dataset.test_frames";
 
-/// Range of frame indices [first, end).
-struct IndexRange {
-    int first, end;
-};
-
-/// Parses a frame number such as "13" or a range such as "40:45".
-/// @throws UsageError if the text is neither
-IndexRange parse_frame_range(std::string_view text) {
+/// Parses a frame number such as "13" or a range such as "40:45" to [first, end).
+std::pair<int, int> parse_frame_range(std::string_view text) {
     const std::size_t colon = text.find(':');
     const std::optional<int> first = parse_file_stem_as_number(std::string(text.substr(0, colon)));
     const std::optional<int> end = colon == std::string_view::npos
                                        ? first.value_or(0) + 1
                                        : parse_file_stem_as_number(std::string(text.substr(colon + 1)));
     if (!first || !end || *first >= *end)
-        fail<UsageError>(
-            "{}: found \"{}\", expected frame numbers or FIRST:END with FIRST < END, for example 13,26,40:45",
-            kSetting, shorten_for_error_message(text));
+        fail<UsageError>("{}: found \"{}\", expected frame numbers or FIRST:END, for example 13,26,40:45",
+                         kSetting, shorten_for_error_message(text));
     return {*first, *end};
 }
 
 /// Selects every n-th frame for testing, but not the first frame.
-/// @throws UsageError if `test_every_nth_frame` is 1 or negative
 std::set<int> select_every_nth_frame(int test_every, const std::vector<int>& frame_numbers) {
     if (test_every < 0 || test_every == 1)
         fail<UsageError>("dataset.test_every is {}, expected 0 (no frame is held out) or at least 2",
@@ -58,26 +50,23 @@ std::set<int> select_every_nth_frame(int test_every, const std::vector<int>& fra
 }
 
 /// Parses a list of frame indices and ranges, for example "13,26,40:45".
-/// @throws UsageError if the log does not have an index, or if an index occurs twice
 std::set<int> parse_test_frame_list(const std::string& frame_list_text,
                                     const std::vector<int>& log_frame_numbers) {
     const std::set<int> log_frames(log_frame_numbers.begin(), log_frame_numbers.end());
     std::set<int> held_out;
     for (const std::string_view cell : split_csv_cells(frame_list_text)) {
-        const IndexRange range = parse_frame_range(cell);
-        for (int index = range.first; index < range.end; ++index) {
+        const auto [first, end] = parse_frame_range(cell);
+        for (int index = first; index < end; ++index) {
             if (!log_frames.contains(index))
-                fail<UsageError>(
-                    "{}: found frame {}, which is not read from the log; choose from the frames {}", kSetting,
-                    index, format_number_list(log_frame_numbers));
+                fail<UsageError>("{}: found frame {}, expected some of the frames {}", kSetting, index,
+                                 format_number_list(log_frame_numbers));
             if (!held_out.insert(index).second)
                 fail<UsageError>("{}: frame {} occurs twice, expected it once", kSetting, index);
         }
     }
     if (held_out.size() == log_frames.size())
-        fail<UsageError>(
-            "{}: all frames of the log are held out, expected at least one frame for training: {}", kSetting,
-            format_number_list(log_frame_numbers));
+        fail<UsageError>("{}: all frames of the log are held out, expected fewer: {}", kSetting,
+                         format_number_list(log_frame_numbers));
     return held_out;
 }
 
@@ -85,13 +74,10 @@ std::set<int> parse_test_frame_list(const std::string& frame_list_text,
 
 TrainTestSplit split_frames_into_train_and_test(const LidarSequence& sequence, int test_every_nth_frame,
                                                 const std::string& test_frame_list) {
-    // If several LiDARs have a frame with the same index, lists the index once.
-    std::vector<int> sweeps;
+    std::vector<int> sweeps;  // several LiDARs can have a frame with the same index
     std::set<int> added_numbers;
     for (const LidarFrame& frame : sequence.frames)
         if (added_numbers.insert(frame.index).second) sweeps.push_back(frame.index);
-    // The list of the user takes precedence over the published split, and the published
-    // split over every n-th frame.
     const std::vector<int>& published_test_frames = sequence.test_frames;
     std::set<int> held_out;
     if (!test_frame_list.empty()) held_out = parse_test_frame_list(test_frame_list, sweeps);

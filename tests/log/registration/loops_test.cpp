@@ -14,11 +14,11 @@
 namespace relidar {
 namespace {
 
-LoopClosureOptions make_loop_options() {
-    return {{2.0, 0.5}, {0.5, 0.1}, [](double) { return true; }};
+LoopClosureResult close(const PoseTrack& track, const SubsampledScans& scans) {
+    return close_loops(track, scans, {2.0, 0.5}, {0.5, 0.1}, [](double) { return true; });
 }
 
-std::vector<std::vector<SubsampledPoint>> thin(const LidarSequence& log) {
+SubsampledScans thin(const LidarSequence& log) {
     RegistrationOptions movers;
     movers.movers = log.boxes;
     return downsample_selected_sweeps(log, group_frames_into_sweeps(log),
@@ -49,7 +49,7 @@ TEST(CloseLoops, ADriveAroundABlockMeetsItsBeginning) {
     const PoseTrack& exact = drive.world_from_vehicle;
     const PoseTrack drifted = bend_track(exact, 2e-4, 2e-4);  // about 3.2 degrees over 283 m
     EXPECT_GT(gap_m(drifted, exact), 2.0) << "the start is far off";
-    const LoopClosureResult closed = close_loops(drifted, thin(drive), make_loop_options());
+    const LoopClosureResult closed = close(drifted, thin(drive));
     EXPECT_GE(closed.n_closures, 2u);
     EXPECT_GT(closed.largest_m, 2.0);
     EXPECT_LT(gap_m(closed.track, exact), 0.1);
@@ -61,18 +61,14 @@ TEST(CloseLoops, ADriveAroundABlockMeetsItsBeginning) {
 }
 
 TEST(CloseLoops, WhereNothingIsSeenAgainAllStays) {
-    SyntheticOptions street;
-    street.n_frames = 160;
-    street.rows = 32;
-    street.columns = 256;
-    const LidarSequence log = make_synthetic_street(street);
+    const LidarSequence log = make_synthetic_street({.n_frames = 160, .rows = 32, .columns = 256});
     const auto scans = thin(log);
     const PoseTrack& exact = log.world_from_vehicle;
-    EXPECT_EQ(close_loops(exact, scans, make_loop_options()).n_closures, 0u);
+    EXPECT_EQ(close(exact, scans).n_closures, 0u);
     // Wrong poses turn the straight street into a circle. The end of the circle is close
     // to its start, but the scans at both positions differ.
     const PoseTrack circle = bend_track(exact, 2.0 * kPi / 120.0, 0.0);
-    const LoopClosureResult closed = close_loops(circle, scans, make_loop_options());
+    const LoopClosureResult closed = close(circle, scans);
     EXPECT_EQ(closed.n_closures, 0u) << "up to " << closed.largest_m << " m";
     for (std::size_t k = 0; k < exact.pose.size(); ++k)
         ASSERT_EQ(closed.track.pose[k].translation, circle.pose[k].translation);

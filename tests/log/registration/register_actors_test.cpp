@@ -56,11 +56,7 @@ TrackError measure_error_of_track(const BoxTrack& box, const BoxTrack& exact) {
 /// that only its rear is visible. The rear determines the position along the track and
 /// the yaw. Only the labels determine the position across the track.
 TEST(RegisterActors, CorrectsDriftingLabels) {
-    SyntheticOptions options;
-    options.n_frames = 30;
-    options.rows = 64;
-    options.columns = 1024;
-    const LidarSequence exact = make_synthetic_street(options);
+    const LidarSequence exact = make_synthetic_street({.n_frames = 30, .rows = 64, .columns = 1024});
     LidarSequence street = exact;
     for (std::size_t i = 0; i < street.boxes.size(); ++i)
         street.boxes[i] = add_label_errors(street.boxes[i], i + 1);
@@ -79,11 +75,7 @@ TEST(RegisterActors, CorrectsDriftingLabels) {
 
 /// Exact labels must not change, because a correction would only add noise.
 TEST(RegisterActors, KeepsExactLabels) {
-    SyntheticOptions options;
-    options.n_frames = 12;
-    options.rows = 32;
-    options.columns = 512;
-    const LidarSequence exact = make_synthetic_street(options);
+    const LidarSequence exact = make_synthetic_street({.n_frames = 12, .rows = 32, .columns = 512});
     LidarSequence street = exact;
     register_actors(street, split_frames_into_train_and_test(street, 0).train);
     for (std::size_t i = 0; i < street.boxes.size(); ++i)
@@ -92,12 +84,8 @@ TEST(RegisterActors, KeepsExactLabels) {
 
 /// A parked car must get a single pose, although its label drifts by 2.5 m.
 TEST(RegisterActors, FindsStandingCarsWithDriftingLabels) {
-    SyntheticOptions options;
-    options.n_frames = 20;
-    options.rows = 64;
-    options.columns = 1024;
-    options.speed_mps = 0.001;
-    LidarSequence street = make_synthetic_street(options);
+    LidarSequence street =
+        make_synthetic_street({.n_frames = 20, .rows = 64, .columns = 1024, .speed_mps = 0.001});
     ASSERT_FALSE(street.boxes.empty());
     BoxTrack& box = street.boxes[0];
     std::vector<Pose>& poses = box.world_from_box.pose;

@@ -23,11 +23,7 @@ using test::error_of;
 using test::PoseError;
 
 LidarSequence make_street_of(int n_frames) {
-    SyntheticOptions options;
-    options.n_frames = n_frames;
-    options.rows = 32;
-    options.columns = 256;
-    return make_synthetic_street(options);
+    return make_synthetic_street({.n_frames = n_frames, .rows = 32, .columns = 256});
 }
 
 RegistrationOptions make_options_without_movers(const std::vector<BoxTrack>& movers) {
@@ -45,18 +41,18 @@ RegistrationResult register_street(const LidarSequence& street, int test_every =
 /// 0.05 degrees.
 void expect_registered(const RegistrationResult& registration, const PoseTrack& exact,
                        const TrainTestSplit& split, const char* description) {
-    const PoseError train = error_of(registration.world_from_vehicle, exact, split.train);
+    const PoseTrack& track = registration.world_from_vehicle;
+    const PoseError train = error_of(track, exact, split.train);
     EXPECT_LT(train.median_m, 0.005) << description;
     EXPECT_LT(train.median_deg, 0.02) << description;
     if (split.test.empty()) return;
     std::vector<int> all = split.train;
     all.insert(all.end(), split.test.begin(), split.test.end());
-    const PoseError both = error_of(registration.world_from_vehicle, exact, all);
-    EXPECT_LT(both.median_m, 0.005) << description;
-    for (const int k : split.test) {  // relative to the previous training pose
-        const Pose exact_step = inverse(exact.pose[std::size_t(k - 1)]) * exact.pose[std::size_t(k)],
-                   step = inverse(registration.world_from_vehicle.pose[std::size_t(k - 1)]) *
-                          registration.world_from_vehicle.pose[std::size_t(k)];
+    EXPECT_LT(error_of(track, exact, all).median_m, 0.005) << description;
+    for (const int position : split.test) {  // relative to the previous training pose
+        const auto k = std::size_t(position);
+        const Pose exact_step = inverse(exact.pose[k - 1]) * exact.pose[k],
+                   step = inverse(track.pose[k - 1]) * track.pose[k];
         EXPECT_LT(glm::length(step.translation - exact_step.translation), 0.02)
             << description << ", held-out frame " << k;
     }
@@ -65,12 +61,8 @@ void expect_registered(const RegistrationResult& registration, const PoseTrack& 
 /// Each sweep covers a fifth of the street. The two ends of the street are therefore
 /// connected only if the poses of all sweeps are solved together.
 TEST(RegisterScans, LongStreetStaysWhereItIs) {
-    SyntheticOptions options;
-    options.seed = 7;
-    options.n_frames = 400;
-    options.rows = 32;
-    options.columns = 256;
-    const LidarSequence street = make_synthetic_street(options);
+    const LidarSequence street =
+        make_synthetic_street({.seed = 7, .n_frames = 400, .rows = 32, .columns = 256});
     const RegistrationResult registration = register_street(street, 10);
     EXPECT_TRUE(registration.lost.empty()) << registration.lost.size() << " scans are lost";
     const PoseError error = error_of(registration.world_from_vehicle, street.world_from_vehicle,
@@ -108,11 +100,7 @@ TEST(RegisterScans, TwoScansAreEnough) {
 }
 
 TEST(RegisterScans, WithoutARollingShutterToo) {
-    SyntheticOptions options;
-    options.n_frames = 11;
-    options.rows = 32;
-    options.columns = 256;
-    options.speed_mps = 1.0;
+    const SyntheticOptions options{.n_frames = 11, .rows = 32, .columns = 256, .speed_mps = 1.0};
     LidarSequence street = make_synthetic_street(options);
     for (LidarFrame& frame : street.frames) {  // simulates a sensor that fires all rays at the same time
         RayTable rays = frame.scan.rays;
@@ -142,8 +130,8 @@ TEST(RegisterScans, MeanCorrectionIsZeroAndExactPosesStay) {
     EXPECT_LT(glm::length(w), 1e-6);
     const RegistrationResult exact_registration = register_street(street);
     for (std::size_t k = 0; k < exact_registration.world_from_vehicle.pose.size(); ++k)
-        EXPECT_LT(glm::length(exact_registration.world_from_vehicle.pose[k].translation -
-                              street.world_from_vehicle.pose[k].translation),
+        EXPECT_LT(glm::distance(exact_registration.world_from_vehicle.pose[k].translation,
+                                street.world_from_vehicle.pose[k].translation),
                   0.01)
             << k;
     EXPECT_TRUE(exact_registration.lost.empty());
@@ -154,21 +142,18 @@ TEST(RegisterScans, HeldOutScansMoveNoOtherPose) {
     LidarSequence street = make_street_of(11);
     set_vehicle_poses(street, test::perturb_track(street.world_from_vehicle, 0.05, 0.3 * test::kDegree, 4));
     const TrainTestSplit split = split_frames_into_train_and_test(street, 5);
-    const RegistrationResult registration =
-        register_scans(street, split, make_options_without_movers(street.boxes));
+    const RegistrationOptions options = make_options_without_movers(street.boxes);
+    const PoseTrack track = register_scans(street, split, options).world_from_vehicle;
     LidarSequence other = street;
     for (const int k : split.test)
         for (float& range : other.frames[std::size_t(k)].scan.range_m) range *= 1.01f;
-    const RegistrationResult again = register_scans(other, split, make_options_without_movers(street.boxes));
+    const PoseTrack again = register_scans(other, split, options).world_from_vehicle;
     for (const int k : split.train) {
-        EXPECT_EQ(registration.world_from_vehicle.pose[std::size_t(k)].translation,
-                  again.world_from_vehicle.pose[std::size_t(k)].translation);
-        EXPECT_EQ(registration.world_from_vehicle.pose[std::size_t(k)].rotation,
-                  again.world_from_vehicle.pose[std::size_t(k)].rotation);
+        EXPECT_EQ(track.pose[std::size_t(k)].translation, again.pose[std::size_t(k)].translation);
+        EXPECT_EQ(track.pose[std::size_t(k)].rotation, again.pose[std::size_t(k)].rotation);
     }
     for (const int k : split.test)
-        EXPECT_NE(registration.world_from_vehicle.pose[std::size_t(k)].translation,
-                  again.world_from_vehicle.pose[std::size_t(k)].translation)
+        EXPECT_NE(track.pose[std::size_t(k)].translation, again.pose[std::size_t(k)].translation)
             << "its own pose follows its scan";
 }
 

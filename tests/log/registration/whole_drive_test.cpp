@@ -21,13 +21,12 @@ protected:
         return drive;
     }
 
-    static RegistrationResult register_street(const PoseTrack& initial_poses, bool use_pose_motion,
-                                              const TrainTestSplit& split) {
+    static RegistrationResult register_street(const PoseTrack& initial_poses, bool use_pose_motion) {
         LidarSequence wrong = drive();
         set_vehicle_poses(wrong, initial_poses);
         RegistrationOptions options;
         options.use_pose_motion = use_pose_motion;
-        return register_scans(wrong, split, options);
+        return register_scans(wrong, split_frames_into_train_and_test(drive(), 10), options);
     }
 
     /// Checks that the errors are at most 2 cm and 0.05 degrees over the complete drive,
@@ -53,26 +52,21 @@ TEST_F(WholeDrive, FindsPosesBackFromDriftAndJumps) {
         test::error_of(initial_poses, drive().world_from_vehicle, {0, last / 3, 2 * last / 3, last}).worst_m,
         1.0)
         << "the start is far off";
-    expect_registered(register_street(initial_poses, true, split_frames_into_train_and_test(drive(), 10)),
-                      "drift and jumps");
+    expect_registered(register_street(initial_poses, true), "drift and jumps");
 }
 
 TEST_F(WholeDrive, StaysWithExactPoses) {
-    expect_registered(
-        register_street(drive().world_from_vehicle, true, split_frames_into_train_and_test(drive(), 10)),
-        "exact");
+    expect_registered(register_street(drive().world_from_vehicle, true), "exact");
 }
 
 TEST_F(WholeDrive, NeedsNoPoses) {
     PoseTrack none = drive().world_from_vehicle;
     for (Pose& pose : none.pose) pose = {};
-    const RegistrationResult registration =
-        register_street(none, false, split_frames_into_train_and_test(drive(), 10));
+    const RegistrationResult registration = register_street(none, false);
     expect_registered(registration, "no poses");
-    const TrainTestSplit split = split_frames_into_train_and_test(drive(), 10);
-    EXPECT_EQ(
-        registration.world_from_vehicle.pose[std::size_t(split.train[split.train.size() / 2])].translation,
-        glm::dvec3(0.0))
+    const std::vector<int> train = split_frames_into_train_and_test(drive(), 10).train;
+    EXPECT_EQ(registration.world_from_vehicle.pose[std::size_t(train[train.size() / 2])].translation,
+              glm::dvec3(0.0))
         << "the middle pose stays";
 }
 

@@ -42,10 +42,9 @@ glm::vec3 rotate_vector(const glm::vec3& vector, double angle) {
 }
 
 int get_firing(const SpinningSensor& sensor, std::size_t ray) {
-    const int row = int(ray) / kColumns, column = int(ray) % kColumns;
-    return (column + compute_beam_azimuth_offset_columns(sensor.beams[std::size_t(row)], kColumns) +
-            kColumns) %
-           kColumns;
+    const int column = int(ray) % kColumns;
+    const Beam& beam = sensor.beams[ray / kColumns];
+    return (column + compute_beam_azimuth_offset_columns(beam, kColumns) + kColumns) % kColumns;
 }
 
 /// Makes a sweep with uneven rotation. Each ray has an error of up to 0.02 mrad, and only

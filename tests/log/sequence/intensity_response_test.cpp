@@ -72,8 +72,7 @@ TEST(IntensityResponse, ComesBackFromSharedPlaces) {
     const IntensityCalibrationResult calibration = fit_and_set_intensity_calibration(sequence, kAll);
     ASSERT_GT(calibration.returns, 2000u);
     EXPECT_GT(calibration.rms_before, 3.0 * calibration.rms_after);
-    // Compares beams with each other, because the data do not determine a common scale
-    // and offset of all beams.
+    // The data do not determine a common scale and offset of all beams.
     for (const double surface : {0.3, 0.6}) {
         const Beam &a = truth[0], &b = sequence.lidars[0].sensor.beams[0];
         const double common =
@@ -96,10 +95,7 @@ TEST(IntensityResponse, ComesBackFromSharedPlaces) {
 
 TEST(IntensityResponse, EqualLasersStayEqual) {
     std::vector<Beam> beams = make_unequal_beams();
-    for (Beam& beam : beams) {
-        beam.intensity_gain = 1.0;
-        beam.intensity_offset = 0.0;
-    }
+    for (Beam& beam : beams) beam.intensity_gain = 1.0, beam.intensity_offset = 0.0;
     LidarSequence sequence = drive(beams, 0.02);
     fit_and_set_intensity_calibration(sequence, kAll);
     for (const Beam& beam : sequence.lidars[0].sensor.beams)
@@ -110,9 +106,7 @@ TEST(IntensityResponse, EqualLasersStayEqual) {
 /// Returns a street whose intensities are reflectance * (0.3 + 0.7 cos) * (1 - range /
 /// 160 m), with equal beams (src/log/readers/street/synthetic.cpp).
 LidarSequence street() {
-    SyntheticOptions options;
-    options.n_frames = 40;  // 32 m: near and far views of the same surfaces
-    return make_synthetic_street(options);
+    return make_synthetic_street({.n_frames = 40});  // 32 m: near and far views of the same surfaces
 }
 
 void expect_the_streets_fall(const IntensityResponse& calibration, double tolerance) {
@@ -164,10 +158,9 @@ TEST(IntensityResponse, OnlyTheGivenFramesAreLookedAt) {
     fit_and_set_intensity_calibration(original, without);
     fit_and_set_intensity_calibration(changed, without);
     for (std::size_t b = 0; b < 8; ++b) {
-        EXPECT_EQ(original.lidars[0].sensor.beams[b].intensity_gain,
-                  changed.lidars[0].sensor.beams[b].intensity_gain);
-        EXPECT_EQ(original.lidars[0].sensor.beams[b].intensity_offset,
-                  changed.lidars[0].sensor.beams[b].intensity_offset);
+        const Beam &first = original.lidars[0].sensor.beams[b], &second = changed.lidars[0].sensor.beams[b];
+        EXPECT_EQ(first.intensity_gain, second.intensity_gain);
+        EXPECT_EQ(first.intensity_offset, second.intensity_offset);
     }
 }
 

@@ -64,8 +64,6 @@ TEST(RangeOffset, ComesBackFromSharedPlanes) {
     const RangeCalibrationResult calibration = fit_and_set_range_offset_of_beams(sequence, kTrain);
     ASSERT_GT(calibration.returns, 20000u);
     EXPECT_GT(calibration.rms_before, 2.0 * calibration.rms_after);
-    // removes the mean of all beams, because a common offset of all beams is hardly
-    // observable
     double mean = 0.0;
     for (std::size_t b = 0; b < kOffsets_m.size(); ++b)
         mean +=

@@ -91,11 +91,9 @@ TEST(PoseTrack, WhatIsMountedGoesRoundBendsOfFineTurns) {
     EXPECT_GT(coarse_m, 0.1) << "along chords";
     EXPECT_EQ(fine.time_s.size(), fine.pose.size());
     EXPECT_TRUE(subdivide_turning_segments({}).pose.empty());
-    EXPECT_EQ(subdivide_turning_segments(
-                  {{0.0, 1.0}, {make_turned_pose(0.2, {0, 0, 0}), make_turned_pose(0.2, {9, 0, 0})}})
-                  .pose.size(),
-              2u)
-        << "straight on needs none";
+    const PoseTrack straight{{0.0, 1.0},
+                             {make_turned_pose(0.2, {0, 0, 0}), make_turned_pose(0.2, {9, 0, 0})}};
+    EXPECT_EQ(subdivide_turning_segments(straight).pose.size(), 2u) << "straight on needs none";
 }
 
 TEST(SensorPoses, BoxesStayWhereTheSensorSawThem) {
@@ -116,17 +114,15 @@ TEST(SensorPoses, BoxesStayWhereTheSensorSawThem) {
     set_vehicle_poses(log, track);
     EXPECT_EQ(log.world_from_vehicle.pose[1].translation, track.pose[1].translation);
     for (std::size_t k = 0; k < 2; ++k) {
-        const double t_s = before.boxes[0].world_from_box.time_s[k];
-        const Pose vehicle_from_box_before = inverse(before.world_from_vehicle.interpolate_pose(t_s)) *
-                                             before.boxes[0].world_from_box.pose[k],
-                   vehicle_from_box_after = inverse(log.world_from_vehicle.interpolate_pose(t_s)) *
-                                            log.boxes[0].world_from_box.pose[k];
-        EXPECT_LT(glm::length(vehicle_from_box_before.translation - vehicle_from_box_after.translation),
-                  1e-12);
-        EXPECT_NEAR(std::abs(glm::dot(vehicle_from_box_before.rotation, vehicle_from_box_after.rotation)),
-                    1.0, 1e-12);
-        EXPECT_GT(glm::length(before.boxes[0].world_from_box.pose[k].translation -
-                              log.boxes[0].world_from_box.pose[k].translation),
+        const auto in_vehicle = [&](const LidarSequence& sequence) {
+            const PoseTrack& box = sequence.boxes[0].world_from_box;
+            return inverse(sequence.world_from_vehicle.interpolate_pose(box.time_s[k])) * box.pose[k];
+        };
+        const Pose first = in_vehicle(before), second = in_vehicle(log);
+        EXPECT_LT(glm::distance(first.translation, second.translation), 1e-12);
+        EXPECT_NEAR(std::abs(glm::dot(first.rotation, second.rotation)), 1.0, 1e-12);
+        EXPECT_GT(glm::distance(before.boxes[0].world_from_box.pose[k].translation,
+                                log.boxes[0].world_from_box.pose[k].translation),
                   0.1);
     }
 }
@@ -142,15 +138,6 @@ TEST(WorldRay, UsesThePoseAtTheRaysOwnTime) {
     EXPECT_NEAR(rolling.origin_m.x, 5.5, 1e-6);
     EXPECT_NEAR(global.origin_m.x, 5.0, 1e-12);
     EXPECT_NEAR(rolling.origin_m.z, 0.2, 1e-6);
-}
-
-TEST(Scan, PointsAndReturns) {
-    Scan scan;
-    scan.rays.origin = {{0, 0, 1}, {0, 0, 0}};
-    scan.rays.direction = {{1, 0, 0}, {0, 1, 0}};
-    scan.range_m = {3.0f, 0.0f};
-    EXPECT_EQ(scan.count_returns(), 1u);
-    EXPECT_EQ(scan.compute_return_point_in_sensor_frame(0), glm::vec3(3, 0, 1));
 }
 
 /// Makes a car with `count` labels at intervals of step_s. The labels vary by 9 cm, as in
@@ -250,8 +237,6 @@ TEST(SweepStart, AHeadFacesAThingWhenItsRayIsFired) {
                 const RayTable rays = make_turning_rays(sensor, from_rad, from_s, 500);
                 const auto start = find_sweep_start(rays, sensor);
                 ASSERT_TRUE(start.has_value());
-                // skips the first ray, which is as close to the end of the turn as to its
-                // start
                 for (std::size_t i = 1; i < 500; i += 7) {
                     const double facing_s = compute_time_when_lidar_faces_point_s(
                         sequence, 9.0 * glm::dvec3(rays.direction[i]), {100.0, 0, start});
@@ -385,21 +370,19 @@ TEST(Split, ListsThatNameNoPartOfTheLogAreRefused) {
             split_frames_into_train_and_test(sequence, 10, list);
             ADD_FAILURE() << list << ": accepted";
         } catch (const UsageError& error) {
-            const std::string message = error.what();
-            EXPECT_THAT(message, test::Names("dataset.test_frames ... " + why)) << list;
-            EXPECT_EQ(message.find('\n'), std::string::npos) << message;
+            EXPECT_THAT(error.what(), test::Names("dataset.test_frames ... " + why)) << list;
         }
     };
     refused("104", "frame 104 ... 100, 103, 106, 109, 112, ... 121 (8");
-    refused("100:104", "found frame 101,");
-    refused("100:99999999", "found frame 101,");
-    refused("103,103", "frame 103 occurs twice");
-    refused("100:101,100", "frame 100 occurs twice");
+    refused("100:104", "frame 101");
+    refused("100:99999999", "frame 101");
+    refused("103,103", "frame 103 ... twice");
+    refused("100:101,100", "frame 100 ... twice");
     refused("100,103,106,109,112,115,118,121", "all frames");
     for (const char* bad : {"x", "-3", "1e2", "100,", ",", " ", "1 03", "103:100", "100:100", "100:", ":103",
                             "1:2:3", "123456789"})
-        refused(bad, "frame numbers");
-    refused("100,ten", "found \"ten\"");
+        refused(bad, "");
+    refused("100,ten", "\"ten\"");
 }
 
 TEST(BoxTrack, KnowsWhatOfItWasLabelled) {
