@@ -1,8 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Initialises actors. An actor is the set of surfels of one tracked moving box. The
-// surfels are stored in the frame of the box. The pose of the box at the rendered time
-// transforms them to the world (paper section 3.2, Eq. 4-5: mean_world = R_t mean_object
-// + T_t).
+// Initialises actors. An actor is the set of surfels of one tracked moving box, in the
+// frame of the box (paper section 3.2, Eq. 4-5: mean_world = R_t mean_object + T_t).
 #include <relidar/scene/device_scene.hpp>
 #include <relidar/scene/scene.hpp>
 
@@ -28,15 +26,12 @@ namespace relidar {
 
 namespace {
 
-/// Margin added around a labelled box, because some labelled boxes are too small.
-constexpr double kPointMargin_m = 0.1;
-/// Height of the lowest part of a box. Points in this part are removed, because they
-/// belong to the ground.
+constexpr double kPointMargin_m = 0.1;  // some labelled boxes are too small
+// Points in the lowest part of a box are removed, because they belong to the ground.
 constexpr double kGround_m = 0.15;
 constexpr std::string_view kEveryClass = "all";
 
-/// Adds the returns of one scan that lie inside boxes. Converts each return to the frame
-/// of its box.
+/// Adds the returns of one scan that lie inside boxes, in the frames of the boxes.
 void append_returns_inside_boxes(const LidarSequence& sequence, const LidarFrame& frame,
                                  const std::vector<BoxTrack>& boxes, bool include_second_returns,
                                  const std::vector<WalkedDistanceTrack>& walked_distances,
@@ -61,9 +56,7 @@ void append_returns_inside_boxes(const LidarSequence& sequence, const LidarFrame
     });
 }
 
-/// Collects the LiDAR returns of the training frames that lie inside boxes. Stores each
-/// point in the frame of its box.
-/// @return [boxes]
+/// Collects the returns of the training frames that lie inside boxes, [boxes].
 std::vector<std::vector<LidarSample>> collect_samples_inside_boxes(
     const LidarSequence& sequence, const std::vector<int>& train_frame_indices,
     const std::vector<BoxTrack>& boxes, const SceneInitialisationOptions& options,
@@ -98,8 +91,7 @@ bool should_become_actor(const BoxTrack& box, const SceneInitialisationOptions& 
            contains_word_in_list(options.actor_classes, get_name(parse_object_kind(box.category)));
 }
 
-/// Returns the kind of object in a box (person, cyclist, other). If a box has no label,
-/// guesses the kind from the size of the box.
+/// Guesses the kind of a box without a label from its size.
 ObjectKind guess_object_kind(const BoxTrack& box) {
     if (box.category != kDiscoveredCategory) return parse_object_kind(box.category);
     const double length = std::max(box.size_m.x, box.size_m.y), width = std::min(box.size_m.x, box.size_m.y);
@@ -108,8 +100,6 @@ ObjectKind guess_object_kind(const BoxTrack& box) {
     return length < 2.2 ? ObjectKind::cyclist : ObjectKind::other;
 }
 
-/// Checks that the size of a box is positive and that all its poses are finite.
-/// @throws DataError if a size or a pose is invalid
 void require_valid_box_size_and_poses(const BoxTrack& box) {
     const glm::dvec3& s = box.size_m;
     if (!(s.x > 0.0 && s.y > 0.0 && s.z > 0.0) || !std::isfinite(s.x + s.y + s.z))
@@ -131,17 +121,15 @@ void require_track_names_exist(const LidarSequence& sequence, const std::string&
                              format_name_suggestion(track, box_ids, "\""), fmt::join(box_ids, ", "));
 }
 
-/// Adds random points inside the box until there are `min_count` samples. The new points
-/// have the mean intensity of the existing samples. Their viewing directions point from
-/// outside towards the box centre.
+/// Adds random points inside the box until there are `min_count` samples, with the mean
+/// intensity of the existing samples and viewing directions towards the box centre.
 void pad_with_random_samples(std::vector<LidarSample>& samples, std::size_t min_count, const BoxTrack& box,
                              std::uint64_t seed) {
     double intensity = 0.0;
     for (const LidarSample& s : samples) intensity += s.intensity / double(samples.size());
     Random random(hash_integer_pair(seed, hash_integer(std::hash<std::string>{}(box.id))));
     while (samples.size() < min_count) {
-        // Draws one number per statement, because the compiler chooses the order of
-        // arguments. Another order than z, y, x would change the points.
+        // In the order z, y, x. Another order would change the points.
         glm::dvec3 fraction;
         for (int axis = 2; axis >= 0; --axis) fraction[axis] = random.sample_uniform_number();
         const glm::dvec3 p = box.size_m * (fraction - 0.5);
@@ -150,17 +138,11 @@ void pad_with_random_samples(std::vector<LidarSample>& samples, std::size_t min_
     }
 }
 
-struct ActorInitContext {
-    const SceneInitialisationOptions& options;
-    double incidence;  ///< strength of the dependence on the incidence angle (IntensityResponse)
-    std::vector<std::string>* notes;
-    const ProgressReporter& progress;
-};
-
 /// Appends an actor to the scene. Does nothing if the box has too few points.
+/// @param incidence  strength of the dependence on the incidence angle (IntensityResponse)
 void append_actor_to_scene(Scene& scene, const BoxTrack& box, const std::vector<LidarSample>& samples,
-                           const ActorInitContext& settings) {
-    const auto& [options, incidence, notes, progress] = settings;
+                           const SceneInitialisationOptions& options, double incidence,
+                           std::vector<std::string>* notes, const ProgressReporter& progress) {
     std::vector<LidarSample> rigid = select_one_sample_per_voxel(samples, std::size_t(options.actor_points));
     if (rigid.size() < std::size_t(options.actor_min_points)) return;
     pad_with_random_samples(rigid, std::size_t(std::min(options.actor_pad_to, options.actor_points)), box,
@@ -181,7 +163,6 @@ void append_actor_to_scene(Scene& scene, const BoxTrack& box, const std::vector<
     }
     const Surfels surfels = changing.period_m > 0.0 ? std::move(changing.surfels)
                                                     : make_surfels_from_points(rigid, options, incidence);
-    // parts of the box's surface that LiDAR rays have hit from outside
     ObservedBoxSurface observed_surface(box.size_m);
     for (const LidarSample& s : samples)
         observed_surface.mark_patch_of_point_as_observed(glm::dvec3(s.position), glm::dvec3(s.view));
@@ -193,9 +174,8 @@ void append_actor_to_scene(Scene& scene, const BoxTrack& box, const std::vector<
     scene.surfels.append_surfels(surfels);
 }
 
-/// Returns the distance in metres that an actor has walked at the start of a new track.
-/// This is the distance at the nearest recorded pose plus the distance from there to the
-/// new pose. The animation of the actor's steps depends on this distance.
+/// Returns the distance that an actor has walked at the start of a new track: the distance
+/// at the nearest recorded pose plus the distance from there to the new pose.
 double compute_walked_distance_at_track_start_m(const BoxTrack& logged_box, const PoseTrack& new_track) {
     const Pose& at = new_track.pose.front();
     const auto compute_distance_m = [&](const Pose& pose) {
@@ -209,8 +189,7 @@ double compute_walked_distance_at_track_start_m(const BoxTrack& logged_box, cons
            glm::dot(at.translation - nearest->translation, ahead);
 }
 
-/// Returns the poses of the background and of all actors. `find_track` returns the track
-/// of the actor with a given name, or null if the actor is absent.
+/// @param find_track  returns the track of an actor, or null if the actor is absent
 template <class TrackOf>
 std::vector<InstancePose> compute_instance_poses_in_sweep(const Scene& scene, const LidarSequence& sequence,
                                                           const SweepTiming& sweep,
@@ -264,8 +243,8 @@ Scene initialise_scene(const LidarSequence& sequence, const std::vector<int>& tr
         collect_samples_inside_boxes(sequence, train_frame_indices, actor_boxes, options, progress);
     for (std::size_t i = 0; i < actor_boxes.size(); ++i) {
         if (progress) progress("modelling actors", double(i) / double(actor_boxes.size()));
-        append_actor_to_scene(scene, actor_boxes[i], samples_per_box[i],
-                              {options, sequence.intensity_response.incidence, notes, progress});
+        append_actor_to_scene(scene, actor_boxes[i], samples_per_box[i], options,
+                              sequence.intensity_response.incidence, notes, progress);
     }
     return scene;
 }
@@ -274,8 +253,7 @@ std::vector<BoxTrack> find_boxes_without_model(const Scene& scene, const LidarSe
                                                const SceneInitialisationOptions& options) {
     std::vector<BoxTrack> boxes = list_foreground_boxes(sequence, options);
     std::erase_if(boxes, [&](const BoxTrack& box) {
-        return std::any_of(scene.instances.begin(), scene.instances.end(),
-                           [&](const ModelInstance& i) { return i.track == box.id; });
+        return std::ranges::find(scene.instances, box.id, &ModelInstance::track) != scene.instances.end();
     });
     return boxes;
 }
@@ -298,7 +276,7 @@ std::string format_box_list(const std::vector<BoxTrack>& boxes) {
 
 std::vector<InstancePose> compute_instance_poses(const Scene& scene, const LidarSequence& sequence,
                                                  const SweepTiming& sweep) {
-    // uses a hash map because a log can have a thousand tracks
+    // a hash map, because a log can have a thousand tracks
     std::unordered_map<std::string_view, const PoseTrack*> tracks;
     for (const BoxTrack& box : sequence.boxes)
         if (box.is_observed_at_time(sweep.time_s)) tracks.emplace(box.id, &box.world_from_box);
@@ -317,9 +295,7 @@ std::vector<InstancePose> compute_instance_poses(const Scene& scene, const Lidar
     for (const auto& [track, poses] : world_from_actor)
         if (std::find(tracks.begin(), tracks.end(), track) == tracks.end())
             fail<UsageError>(
-                "cannot place actors: found a pose of track \"{}\", expected the name of a track of the "
-                "scene{}",
-                track,
+                "cannot place actors: found track \"{}\", expected a track of the scene{}", track,
                 tracks.empty() ? ", which has no actors" : format_name_suggestion(track, tracks, "\""));
     return compute_instance_poses_in_sweep(scene, sequence, sweep, [&](const std::string& name) {
         const auto track = world_from_actor.find(name);

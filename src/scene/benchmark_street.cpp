@@ -25,7 +25,6 @@ class NumpyRandomState {
 public:
     explicit NumpyRandomState(std::uint32_t seed) : generator_(seed) {}
 
-    /// Returns a uniform random number in [0, 1) with 53 random bits.
     double sample_uniform_0_to_1() {
         const std::uint32_t high = std::uint32_t(generator_()) >> 5, low = std::uint32_t(generator_()) >> 6;
         return (high * 67108864.0 + low) / 9007199254740992.0;
@@ -61,8 +60,7 @@ struct Rectangle {
     double area = glm::length(glm::cross(edge_u, edge_v));
 };
 
-/// Adds five faces of a car: right, left, back, front and roof. The body of the car
-/// begins 0.2 m above the ground.
+/// Adds five faces of a car, whose body begins 0.2 m above the ground.
 void append_car_rectangles(const glm::dvec3& centre, double intensity, std::vector<Rectangle>& rectangles) {
     const double length = 4.4, width = 1.8, height = 1.5 - 0.2;
     const glm::dvec3 x(length, 0, 0), y(0, width, 0), z(0, 0, height);
@@ -74,47 +72,37 @@ void append_car_rectangles(const glm::dvec3& centre, double intensity, std::vect
     rectangles.push_back({base + z, x, y, intensity});
 }
 
-void append_facade_rectangles(int side, NumpyRandomState& random, std::vector<Rectangle>& rectangles) {
-    const double half = kLength_m / 2;
-    for (double x = -half; x < half - 1e-9;) {
-        const double width = std::min(8 + 10 * random.sample_uniform_0_to_1(), half - x);
-        const double setback = 1.5 * random.sample_uniform_0_to_1();
-        const double intensity = 0.25 + 0.4 * random.sample_uniform_0_to_1();
-        const bool gap = random.sample_uniform_0_to_1() < 0.1;
-        const double y = side * (kHalfWidth_m - setback);
-        const glm::dvec3 up(0, 0, kHeight_m);
-        if (!gap && side > 0) rectangles.push_back({{x, y, 0}, {width, 0, 0}, up, intensity});
-        if (!gap && side < 0) rectangles.push_back({{x + width, y, 0}, {-width, 0, 0}, up, intensity});
-        x += width;
-    }
-}
-
-void append_parked_car_rectangles(int side, NumpyRandomState& random, std::vector<Rectangle>& rectangles) {
-    const double half = kLength_m / 2;
-    for (double x = -half + 3; x < half - 5; x += 6.5) {
-        const bool skip = random.sample_uniform_0_to_1() < 0.3;
-        const double along = random.sample_uniform_0_to_1();
-        const double across = 0.3 * random.sample_uniform_0_to_1();
-        const double intensity = 0.3 + 0.6 * random.sample_uniform_0_to_1();
-        if (!skip) append_car_rectangles({x + along, side * (7.5 + across), 0.0}, intensity, rectangles);
-    }
-}
-
 /// Returns the rectangles of the ground, the facades and the parked cars. The seed is
 /// fixed, so the layout is always the same.
 std::vector<Rectangle> make_street_rectangles() {
     NumpyRandomState random(1);
+    const double half = kLength_m / 2;
     std::vector<Rectangle> rectangles{
-        {{-kLength_m / 2, -kHalfWidth_m, 0}, {kLength_m, 0, 0}, {0, 2 * kHalfWidth_m, 0}, 0.2}};
+        {{-half, -kHalfWidth_m, 0}, {kLength_m, 0, 0}, {0, 2 * kHalfWidth_m, 0}, 0.2}};
     for (const int side : {-1, 1}) {
-        append_facade_rectangles(side, random, rectangles);
-        append_parked_car_rectangles(side, random, rectangles);
+        for (double x = -half; x < half - 1e-9;) {
+            const double width = std::min(8 + 10 * random.sample_uniform_0_to_1(), half - x);
+            const double setback = 1.5 * random.sample_uniform_0_to_1();
+            const double intensity = 0.25 + 0.4 * random.sample_uniform_0_to_1();
+            const bool gap = random.sample_uniform_0_to_1() < 0.1;
+            const double y = side * (kHalfWidth_m - setback);
+            const glm::dvec3 up(0, 0, kHeight_m);
+            if (!gap && side > 0) rectangles.push_back({{x, y, 0}, {width, 0, 0}, up, intensity});
+            if (!gap && side < 0) rectangles.push_back({{x + width, y, 0}, {-width, 0, 0}, up, intensity});
+            x += width;
+        }
+        for (double x = -half + 3; x < half - 5; x += 6.5) {
+            const bool skip = random.sample_uniform_0_to_1() < 0.3;
+            const double along = random.sample_uniform_0_to_1();
+            const double across = 0.3 * random.sample_uniform_0_to_1();
+            const double intensity = 0.3 + 0.6 * random.sample_uniform_0_to_1();
+            if (!skip) append_car_rectangles({x + along, side * (7.5 + across), 0.0}, intensity, rectangles);
+        }
     }
     return rectangles;
 }
 
-/// Picks a random rectangle for each surfel. The probability of a rectangle is
-/// proportional to its area.
+/// Picks a random rectangle for each surfel, with a probability proportional to its area.
 std::vector<std::uint16_t> sample_rectangle_indices_by_area(std::size_t count,
                                                             const std::vector<Rectangle>& rectangles,
                                                             NumpyRandomState& random) {
@@ -147,8 +135,8 @@ void sample_surfel_positions_on_rectangles(const std::vector<Rectangle>& rectang
     }
 }
 
-/// Returns the unit quaternion (w, x, y, z) of a rotation matrix with the columns x, y,
-/// z. The largest component of the quaternion is positive.
+/// Returns the unit quaternion (w, x, y, z) of a rotation matrix with these columns. The
+/// largest component of the quaternion is positive.
 glm::dvec4 make_wxyz_quaternion_from_axes(const glm::dvec3& x_axis, const glm::dvec3& y_axis,
                                           const glm::dvec3& z_axis) {
     const double trace = x_axis.x + y_axis.y + z_axis.z;
@@ -163,8 +151,8 @@ glm::dvec4 make_wxyz_quaternion_from_axes(const glm::dvec3& x_axis, const glm::d
     return glm::normalize(candidates[best]);
 }
 
-/// Draws random rotations of the surfels. The surfel normals scatter around the normal of
-/// their rectangle. The rotation about the normal is uniform.
+/// The normals scatter around the normals of the rectangles. The rotation about the normal
+/// is uniform.
 void sample_random_surfel_rotations(const std::vector<Rectangle>& rectangles,
                                     const std::vector<std::uint16_t>& rectangle_index,
                                     NumpyRandomState& random, Surfels& surfels) {
@@ -197,9 +185,8 @@ void sample_random_scales_and_opacities(bool smaller_scales_for_more_surfels, Nu
     }
 }
 
-/// Draws random spherical harmonics. Rounds them to multiples of 1/4096 (degree 0) or
-/// 1/256 (other degrees), and half to even. The Python generator scene_gen.py rounds in
-/// the same way, so both make the same surfels.
+/// Rounds to multiples of 1/4096 (degree 0) or 1/256 (other degrees), and half to even,
+/// like scene_gen.py.
 void sample_random_spherical_harmonics(const std::vector<Rectangle>& rectangles,
                                        const std::vector<std::uint16_t>& rectangle_index,
                                        NumpyRandomState& random, Surfels& surfels) {

@@ -16,14 +16,12 @@ namespace relidar {
 namespace {
 
 constexpr double kBoxPatch_m = 0.3;
-// Lowest part of a vertical side of a box, as a share of its height. Patches in this part
-// are ignored, because the ground hides them.
+// Patches in this lowest share of a vertical side are ignored, because the ground hides
+// them.
 constexpr double kHiddenHeight = 0.2;
-// Minimum number of mirrored pairs of surface patches. With fewer pairs, the symmetry of
-// an actor is not measured.
+// Minimum number of mirrored pairs of patches for measuring the symmetry.
 constexpr std::size_t kFewestPairs = 3;
-// Maximum number of pairs of patches along an axis of a box. Patches are counted in
-// pairs, because their number is even. 200 pairs of 0.3 m patches cover a box of 120 m.
+// Maximum number of pairs of patches along an axis of a box: a box of 120 m.
 constexpr double kMostPairs = 200.0;
 
 /// Returns the number of patches along a length. The number is even, so that the symmetry
@@ -54,9 +52,7 @@ ObservedBoxSurface::ObservedBoxSurface(const glm::dvec3& size_m) : half_m_(0.5 *
     }
 }
 
-/// Returns the surface patch where a line from the box centre through a point leaves the
-/// box. Returns nothing if the line leaves through the bottom, or if the patch is too
-/// close to the ground.
+/// Returns the patch where a line from the box centre through a point leaves the box.
 std::optional<ObservedBoxSurface::BoxSurfacePatch> ObservedBoxSurface::find_patch_of_point(
     const glm::dvec3& point_m) const {
     const glm::dvec3 share = point_m / half_m_, size = glm::abs(share);
@@ -112,52 +108,36 @@ bool ObservedBoxSurface::is_observed_only_in_mirror_image(const glm::dvec3& poin
     return patch && !has_observed_patch(*patch) && has_observed_patch(get_mirror_patch(*patch));
 }
 
-std::array<double, 2> ObservedBoxSurface::compute_observed_and_total_area_m2(
-    BoxSide side, bool only_mirror_image_observed) const {
-    const BoxSideAxes& frame = kSideFrames[std::size_t(side)];
-    const auto [columns, rows] = n_[std::size_t(side)];
-    const double patch_m2 = 4.0 * half_m_[frame.first] * half_m_[frame.second] / (columns * rows);
-    std::array<double, 2> sum{};
-    for (int row = 0; row < rows; ++row) {
-        for (int column = 0; column < columns; ++column) {
-            const BoxSurfacePatch patch{side, column, row};
-            if (!is_patch_above_ground_margin(patch)) continue;
-            const bool held = only_mirror_image_observed
-                                  ? !has_observed_patch(patch) && has_observed_patch(get_mirror_patch(patch))
-                                  : has_observed_patch(patch);
-            sum[0] += held ? patch_m2 : 0.0;
-            sum[1] += patch_m2;
-        }
-    }
-    return sum;
-}
-
-double ObservedBoxSurface::compute_area_fraction_of_all_sides(bool only_mirror_image_observed) const {
+double ObservedBoxSurface::compute_area_fraction(std::optional<BoxSide> only_side,
+                                                 bool only_mirror_image_observed) const {
     double held_m2 = 0.0, all_m2 = 0.0;
     for (std::size_t s = 0; s < kBoxSides; ++s) {
-        const std::array<double, 2> area =
-            compute_observed_and_total_area_m2(BoxSide(s), only_mirror_image_observed);
-        held_m2 += area[0];
-        all_m2 += area[1];
+        if (only_side && BoxSide(s) != *only_side) continue;
+        const BoxSideAxes& frame = kSideFrames[s];
+        const auto [columns, rows] = n_[s];
+        const double patch_m2 = 4.0 * half_m_[frame.first] * half_m_[frame.second] / (columns * rows);
+        double side_held_m2 = 0.0, side_m2 = 0.0;
+        for (int row = 0; row < rows; ++row)
+            for (int column = 0; column < columns; ++column) {
+                const BoxSurfacePatch patch{BoxSide(s), column, row};
+                if (!is_patch_above_ground_margin(patch)) continue;
+                const bool held =
+                    has_observed_patch(patch) != only_mirror_image_observed &&
+                    (!only_mirror_image_observed || has_observed_patch(get_mirror_patch(patch)));
+                side_held_m2 += held ? patch_m2 : 0.0;
+                side_m2 += patch_m2;
+            }
+        held_m2 += side_held_m2;
+        all_m2 += side_m2;
     }
     return held_m2 / all_m2;
 }
 
-double ObservedBoxSurface::compute_observed_area_fraction(BoxSide side) const {
-    const std::array<double, 2> area = compute_observed_and_total_area_m2(side, false);
-    return area[0] / area[1];
+double ObservedBoxSurface::compute_observed_area_fraction(std::optional<BoxSide> side) const {
+    return compute_area_fraction(side, false);
 }
-
-double ObservedBoxSurface::compute_mirrorable_area_fraction(BoxSide side) const {
-    const std::array<double, 2> area = compute_observed_and_total_area_m2(side, true);
-    return area[0] / area[1];
-}
-
-double ObservedBoxSurface::compute_observed_area_fraction() const {
-    return compute_area_fraction_of_all_sides(false);
-}
-double ObservedBoxSurface::compute_mirrorable_area_fraction() const {
-    return compute_area_fraction_of_all_sides(true);
+double ObservedBoxSurface::compute_mirrorable_area_fraction(std::optional<BoxSide> side) const {
+    return compute_area_fraction(side, true);
 }
 
 ObservedSideFractions ObservedBoxSurface::compute_covered_fraction_of_each_side() const {

@@ -1,8 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Makes surfels from the points of each frame. The surfels are visible only around the
-// time of their frame, and move with the points of the neighbouring frames. This models
-// every change of shape: steps, pedals, doors, trailers. Between two frames, the surfels
-// of both frames are blended.
+// Makes surfels from the points of each frame. They are visible only around the time of
+// their frame, and move with the points of the neighbouring frames. This models every
+// change of shape: steps, pedals, doors, trailers.
 #include "scene/changing_actors.hpp"
 
 #include <algorithm>
@@ -21,24 +20,21 @@
 namespace relidar {
 namespace {
 
-// Maximum distance between points of the same surface.
+// maximum distance between points of the same surface
 constexpr double kSameSurface_m = 0.07;
-// A position counts as static if at least this share of the frames have a point there.
+// minimum share of the frames that have a point at a static position
 constexpr double kResting = 0.75;
-// Maximum number of frames that are searched to decide whether a position is static.
+// maximum number of frames that are searched for this share
 constexpr std::size_t kCompared = 64;
-// Minimum number of surfels for each frame. In a log with many frames, an equal share of
-// the actor's surfels would be too small.
+// Minimum number of surfels of a frame, because an equal share can be too small.
 constexpr std::size_t kInFrame = 200;
-// Minimum number of frames with points of an actor. With fewer frames, the actor is
-// modelled as rigid.
+// An actor in fewer frames, or that walks less, is modelled as rigid.
 constexpr std::size_t kFewestChanging = 3;
-// An actor that walks less than kFewestWalked_m in the log is modelled as rigid.
 // kSmallestSpacing_m is a lower limit for the distance that it walks per frame.
 constexpr double kFewestWalked_m = 0.5, kSmallestSpacing_m = 0.02;
-// An actor repeats its recorded walk in a loop. Ratio (distance walked from the last
-// frame to the repeated first frame) / (mean distance walked per frame). A low ratio
-// would show the surfels of both frames simultaneously.
+// An actor repeats its recorded walk in a loop. Ratio (distance walked from the last frame
+// to the repeated first frame) / (mean distance walked per frame). A low ratio would show
+// both frames simultaneously.
 constexpr double kFramesBetween = 3.0;
 
 /// Samples of one frame.
@@ -68,10 +64,8 @@ SamplesByFrame group_samples_by_frame(const std::vector<LidarSample>& samples) {
     return frames;
 }
 
-/// Estimates how the surface around a sample moves, in metres per frame. Finds the shift
-/// that moves the points around the sample onto the points of neighbouring frames. Uses
-/// two earlier and two later frames.
-/// @param frame_index index of the sample's frame
+/// Estimates how the surface around a sample moves, in metres per frame: the shift that
+/// moves the points around the sample onto those of two earlier and two later frames.
 glm::vec3 estimate_surface_shift_per_frame(const SamplesByFrame& frames, std::size_t frame_index,
                                            const std::vector<LidarSample>& samples,
                                            const LidarSample& sample) {
@@ -86,8 +80,7 @@ glm::vec3 estimate_surface_shift_per_frame(const SamplesByFrame& frames, std::si
     for (float x = -kFarthest_m; x < kFarthest_m + 0.5f * kStep_m; x += kStep_m)
         for (float z = -kHighest_m; z < kHighest_m + 0.5f * kStep_m; z += kStep_m) {
             const glm::vec3 shift(x, 0.0f, z);
-            // Adds a small cost that grows with the shift, so that the smallest shift is
-            // chosen if several shifts fit equally well.
+            // A small cost selects the smallest of several equally good shifts.
             double sum = 1e-3 * double(glm::length(shift));
             for (std::size_t f = frame_index - std::min<std::size_t>(frame_index, 2);
                  f < std::min(frame_index + 3, frames.size()); ++f) {
@@ -105,8 +98,7 @@ glm::vec3 estimate_surface_shift_per_frame(const SamplesByFrame& frames, std::si
     return best;
 }
 
-/// Smooths the shifts. Replaces each shift by the median of the shifts at the nearest
-/// samples, separately for each axis.
+/// Replaces each shift by the median of the shifts at the nearest samples, per axis.
 std::vector<glm::vec3> smooth_shifts_by_median(const std::vector<LidarSample>& samples,
                                                const std::vector<glm::vec3>& shifts) {
     constexpr double kAround_m = 0.15;
@@ -126,8 +118,7 @@ std::vector<glm::vec3> smooth_shifts_by_median(const std::vector<LidarSample>& s
     return medians;
 }
 
-/// Makes one surfel for each sample. `gaits[i]` defines in which phase of the walk the
-/// surfel of sample i is visible, and how it moves.
+/// Makes one surfel for each sample, with the gait of the sample.
 Surfels make_surfels_with_gait(const std::vector<LidarSample>& samples,
                                const std::vector<GaitPhaseWindow>& gaits,
                                const SceneInitialisationOptions& options, double incidence_coefficient) {
@@ -138,8 +129,7 @@ Surfels make_surfels_with_gait(const std::vector<LidarSample>& samples,
     return surfels;
 }
 
-/// Returns true for each sample near which most frames have a point. The shape of the
-/// walking actor does not change there.
+/// Returns true for each sample near which most frames have a point.
 std::vector<char> mark_static_samples(const std::vector<LidarSample>& samples, const SamplesByFrame& frames) {
     std::vector<char> is_static(samples.size());
     const std::size_t step = frames.size() / kCompared + 1;
@@ -153,10 +143,8 @@ std::vector<char> mark_static_samples(const std::vector<LidarSample>& samples, c
     return is_static;
 }
 
-/// Makes surfels with the shape of an actor in one frame. They fade out while the actor
-/// walks on. Their opacity is a Gaussian of the walked distance. Its standard deviation
-/// is `FrameSamples::spacing_m`, the distance that the actor walks per frame.
-/// @param samples samples of the actor in all frames
+/// Makes surfels with the shape of an actor in one frame. Their opacity is a Gaussian of
+/// the walked distance with the standard deviation `FrameSamples::spacing_m`.
 /// @param changing_samples samples of this frame where the shape of the actor changes
 Surfels make_actor_surfels_of_frame(const SamplesByFrame& samples_by_frame, std::size_t frame_index,
                                     const std::vector<LidarSample>& samples,

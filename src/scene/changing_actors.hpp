@@ -18,16 +18,13 @@ struct DeformingActorSurfels {
     double period_m = 0.0;       ///< Walked distance after which the motion repeats.
     std::string why_rigid = {};  ///< reason why the actor has no such surfels; empty if it has some
 };
-/// Makes surfels that are visible only around the time of their frame. They move like the
+/// Makes surfels that are visible only around the time of their frame and move like the
 /// points of the neighbouring frames. At positions where most frames have a point, the
 /// surfels are always visible and do not move.
-/// @param samples  points in the frame of the box, each with the distance that the actor
-/// had walked
+/// @param samples  points in the frame of the box, with the distance that the actor walked
 /// @param max_surfels  maximum number of surfels; each frame may still have 200 surfels
-/// @param progress called during the work; if it throws an exception, the function stops
-/// @return surfels and their period. The result is empty, with period 0, if there are
-/// fewer than three frames. It is also empty if the actor walks less than half a
-/// metre.
+/// @return no surfels and period 0 with fewer than three frames, or if the actor walks
+/// less than half a metre
 DeformingActorSurfels make_surfels_of_deforming_actor(const std::vector<LidarSample>& samples,
                                                       const SceneInitialisationOptions& options,
                                                       double incidence_coefficient, std::size_t max_surfels,

@@ -25,30 +25,6 @@ static_assert(sizeof(shared::SurfelRecord) == 64 && sizeof(shared::InstanceEntry
 
 namespace {
 
-void require_valid_scene_layout(const Scene& scene) {
-    // Checks that the surfels of each model directly follow the surfels of the previous
-    // model. The kernels need this order, because they find the model of a surfel by
-    // binary search.
-    std::size_t next = 0;
-    for (const SurfelModel& model : scene.models) {
-        if (model.first != next)
-            fail(
-                "cannot load the scene: model {} starts at surfel {}, expected {}, which is the end of the "
-                "previous model",
-                model.name, model.first, next);
-        next += model.count;
-    }
-    if (next != scene.surfels.size())
-        fail(
-            "cannot load the scene: its models have {} surfels in total, but the scene has {}; expected "
-            "equal numbers",
-            next, scene.surfels.size());
-    for (const ModelInstance& instance : scene.instances)
-        if (instance.model >= scene.models.size())
-            fail("cannot load the scene: an instance uses model {}, expected the index of one of {} models",
-                 instance.model, scene.models.size());
-}
-
 std::vector<SpecialisationConstant> make_activation_kernel_constants(bool stage_sh_in_shared_memory) {
     std::vector<SpecialisationConstant> all{
         {SpecialisationConstantId::STAGED, stage_sh_in_shared_memory ? 1u : 0u}};
@@ -62,14 +38,11 @@ std::vector<SpecialisationConstant> make_activation_kernel_constants(bool stage_
 /// of all other instances follow after these rows, sorted by model.
 struct InstanceGradientRows {
     std::vector<std::uint32_t> first_row;  ///< [instances] first gradient row of each instance
-    /// [models] index of the first instance of each model, or -1 if the model has no
-    /// instance
+    /// [models] index of the first instance of each model, or -1
     std::vector<std::int64_t> first_instance;
-    /// first gradient row of the second, third, ... instance of each model, sorted by
-    /// model
+    /// first gradient row of the second, third, ... instance of each model, by model
     std::vector<std::uint32_t> more;
-    /// [models + 1] start of each model in `more`. Model m has the entries first_more[m]
-    /// to first_more[m + 1] - 1.
+    /// [models + 1] start of each model in `more`
     std::vector<std::uint32_t> first_more;
     std::uint32_t n_rows;
 
@@ -147,9 +120,8 @@ struct DeviceScene::Impl {
 
     std::uint32_t count_models() const { return static_cast<std::uint32_t>(layout.models.size()); }
 
-    /// Stores the poses of all instances, and returns the instance table for the device.
     /// Each entry has the transform from world to model, the motion, and the range of
-    /// surfels. The surfel range of an absent instance is empty.
+    /// surfels, which is empty for an absent instance.
     std::vector<shared::InstanceEntry> store_poses_and_make_instance_table(
         const std::vector<InstancePose>& instance_poses) {
         if (instance_poses.size() != layout.instances.size())
@@ -177,8 +149,7 @@ struct DeviceScene::Impl {
         return entries;
     }
 
-    /// Uploads the view origin (sensor position) in the frame of each model. If a model
-    /// has several instances, uses the pose of the first instance.
+    /// Uploads the view origin in the frame of each model (of its first instance).
     /// @return [models] device array that only the next submission can read
     Address<glm::vec3> upload_view_origin_per_model(Stream& stream,
                                                     const glm::vec3& view_origin_world_m) const {
@@ -190,10 +161,8 @@ struct DeviceScene::Impl {
         return stream.impl().stage_host_values_for_kernels(origins);
     }
 
-    /// Returns the phase of the walking motion of each model. If a model has several
-    /// instances, uses the first instance.
+    /// Uploads the phase of the walking motion of each model (of its first instance).
     /// @return [models] phase as a fraction of a stride, 0..1; negative for rigid models.
-    /// The address is null if all models are rigid.
     Address<float> upload_gait_phase_per_model(Stream& stream) const {
         if (!parameters.bends) return {};
         std::vector<float> all;
@@ -240,11 +209,9 @@ void DeviceScene::record_activation_of_surfel_parameters(Stream& stream, const I
     impl_->alpha_min = model.alpha_min;
     if (size() == 0) return;
     if (primitive() != model.primitive)
-        fail<UsageError>(
-            "cannot use image.primitive={}: the scene consists of {}; use image.primitive={}, because the "
-            "primitive cannot change after training",
-            get_primitive_properties(model.primitive).name, get_primitive_properties(primitive()).label,
-            get_primitive_properties(primitive()).name);
+        fail<UsageError>("found image.primitive={}, expected {}, the primitive of the trained scene",
+                         get_primitive_properties(model.primitive).name,
+                         get_primitive_properties(primitive()).name);
     run(stream, impl_->activate, size(),
         {.surfels = get_surfel_pointers(impl_->parameters),
          .records = impl_->records.address(),
@@ -300,8 +267,7 @@ void DeviceScene::set_models(const std::vector<SurfelModel>& models) {
     RELIDAR_ASSERT_LE(std::size_t(n), impl_->records.size());
     impl_->layout.models = models;
     impl_->parameters.n = n;
-    // The new surfel ranges change the rows of the instances in the gradient array. The
-    // table of rows keeps its size, because the number of instances does not change.
+    // The table of rows keeps its size, because the number of instances does not change.
     impl_->placements = InstanceGradientRows(impl_->layout, n);
     impl_->models.upload(make_model_table(impl_->layout, impl_->placements));
     impl_->more_rows.upload(impl_->placements.more);

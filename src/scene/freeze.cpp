@@ -18,10 +18,7 @@ namespace {
 
 using ShBasis = std::array<double, kShCoefficients>;
 
-/// Evaluates the real spherical harmonics up to degree 3, which are orthonormal on the
-/// sphere. Computes the same values as shaders/scene/gaussian/sh.glsl, but in double
-/// precision.
-/// @param direction [3] unit
+/// The same as shaders/scene/gaussian/sh.glsl, up to degree 3 in double precision.
 ShBasis evaluate_spherical_harmonics(const glm::dvec3& direction) {
     const double x = direction.x, y = direction.y, z = direction.z, xx = x * x, yy = y * y, zz = z * z;
     const auto root = [](double part) { return std::sqrt(part / kPi); };
@@ -46,16 +43,14 @@ ShBasis evaluate_spherical_harmonics(const glm::dvec3& direction) {
 using ShRotation = std::array<std::array<double, kShCoefficients>, kShCoefficients>;
 
 /// Returns the matrix that rotates SH coefficients from the model frame to the world
-/// frame. Element (i, j) is the integral of Y_i(R d) Y_j(d) over all directions d. R is
-/// the rotation, and Y_i are the SH basis functions. Computes a weighted sum over 32
-/// directions: four heights z (Gauss-Legendre) with eight azimuths each. This sum is
-/// exact, because the integrands have degree 6.
+/// frame. Element (i, j) is the integral of Y_i(R d) Y_j(d) over all directions d. A
+/// weighted sum over four heights z (Gauss-Legendre) with eight azimuths each is exact,
+/// because the integrands have degree 6.
 ShRotation make_harmonics_rotation_matrix(const glm::dquat& world_from_model) {
+    // height and weight
     constexpr std::array<std::array<double, 2>, 4> kHeights{{{-0.8611363115940526, 0.3478548451374538},
                                                              {-0.3399810435848563, 0.6521451548625461},
                                                              {0.3399810435848563, 0.6521451548625461},
-                                                             // each row: height and its
-                                                             // weight
                                                              {0.8611363115940526, 0.3478548451374538}}};
     constexpr int kAzimuths = 8;
     ShRotation rotation_matrix{};
@@ -83,9 +78,7 @@ void rotate_sh_coefficients(const ShRotation& rotation_matrix, float* coefficien
     std::ranges::copy(rotated_coefficients, coefficients);
 }
 
-/// Moves a surfel of a walking actor to its position at a phase of the walk. Reduces its
-/// opacity if the surfel was recorded at another phase. Same formulas as
-/// shaders/scene/gaussian/gait.glsl.
+/// The same as shaders/scene/gaussian/gait.glsl.
 void apply_gait_to_surfel(Surfels& surfels, std::size_t surfel_index, double gait_phase) {
     const GaitPhaseWindow& gait = surfels.gait[surfel_index];
     const double angle = 2.0 * kPi * (gait_phase - double(gait.phase)), sharpness = double(gait.sharpness);
@@ -116,10 +109,7 @@ void transform_surfels_to_world(Surfels& surfels, const Pose& world_from_model) 
 
 Surfels transform_all_surfels_to_world(const Scene& scene, const std::vector<InstancePose>& instance_poses) {
     if (instance_poses.size() != scene.instances.size())
-        fail(
-            "cannot convert the surfels of the scene to world coordinates: found {} poses, expected {}, one "
-            "for the background and one for each actor",
-            instance_poses.size(), scene.instances.size());
+        fail("found {} poses of instances, expected {}", instance_poses.size(), scene.instances.size());
     Surfels all;
     all.primitive = scene.surfels.primitive;
     for (std::size_t k = 0; k < instance_poses.size(); ++k) {

@@ -28,22 +28,19 @@ namespace relidar {
 
 namespace {
 
-// A point is removed if enough frames observe empty space at its position. The constant
-// is the minimum ratio (frames with empty space) / (frames with a return there). It is
-// below 1, to also remove objects that stood still for part of the log.
+// Minimum ratio (frames with empty space) / (frames with a return) at a removed point. It
+// is below 1, to also remove objects that stood still for part of the log.
 constexpr double kGoneShare = 0.25;
 
 /// Running sums of the samples in one voxel.
 struct VoxelSums {
     std::uint64_t first = 0;  ///< index of the first sample in the voxel, counted over all frames
-    glm::dvec3 position{0.0};
-    glm::dvec3 view{0.0};
+    glm::dvec3 position{0.0}, view{0.0};
     double intensity = 0.0;
     int count = 0;
 };
 
-/// Cell of a voxel grid with integer coordinates. The edge length of a cell doubles with
-/// each level.
+/// Cell of a voxel grid. Its edge length doubles with each level.
 struct VoxelCell {
     int level, x, y, z;
     bool operator==(const VoxelCell&) const = default;
@@ -55,9 +52,7 @@ struct CellHash {
     }
 };
 
-/// Returns the points of one frame in the world frame, with the direction of each ray.
-/// Skips points inside `excluded_boxes`, because the objects in these boxes get separate
-/// models.
+/// Returns the points of one frame in the world frame outside `excluded_boxes`.
 std::vector<LidarSample> collect_background_samples(const LidarSequence& sequence, const LidarFrame& frame,
                                                     const std::vector<BoxTrack>& excluded_boxes,
                                                     const SceneInitialisationOptions& options) {
@@ -74,8 +69,6 @@ std::vector<LidarSample> collect_background_samples(const LidarSequence& sequenc
     return samples;
 }
 
-/// Returns the position of the sensor in each of the given frames.
-/// @return [positions] world
 std::vector<glm::vec3> list_sensor_positions(const LidarSequence& sequence,
                                              const std::vector<int>& frame_indices) {
     std::vector<glm::vec3> sensor_positions;
@@ -89,9 +82,8 @@ std::vector<glm::vec3> list_sensor_positions(const LidarSequence& sequence,
     return sensor_positions;
 }
 
-/// Returns the voxel that contains a point. The edge of the voxel is `voxel_m` * 2^level.
-/// The level is 0 if `voxel_growth` is 0. Otherwise it rises with the distance to the
-/// nearest sensor position.
+/// Returns the voxel that contains a point. Its edge is `voxel_m` * 2^level. The level
+/// rises with the distance to the nearest sensor position if `voxel_growth` is not 0.
 VoxelCell find_voxel_cell(const glm::vec3& point_m, const NearestPointFinder<float>& sensor_positions,
                           const SceneInitialisationOptions& options) {
     int level = 0;
@@ -112,26 +104,11 @@ struct VoxelSample {
     std::uint32_t number;
 };
 
-// Number of hash tables of voxels. The hash of a voxel selects its table, so that threads
-// can fill all tables in parallel.
+// Number of hash tables of voxels, which are filled in parallel.
 constexpr std::size_t kParts = 32;
 using VoxelSamplesByPart = std::array<std::vector<VoxelSample>, kParts>;
 
-VoxelSamplesByPart partition_frame_samples_by_voxel_hash(const LidarSequence& sequence,
-                                                         const LidarFrame& frame,
-                                                         const std::vector<BoxTrack>& excluded_boxes,
-                                                         const NearestPointFinder<float>& sensor_positions,
-                                                         const SceneInitialisationOptions& options) {
-    VoxelSamplesByPart placed;
-    std::uint32_t number = 0;
-    for (const LidarSample& s : collect_background_samples(sequence, frame, excluded_boxes, options)) {
-        const VoxelCell cell = find_voxel_cell(s.position, sensor_positions, options);
-        placed[CellHash{}(cell) % kParts].push_back({s, cell, number++});
-    }
-    return placed;
-}
-
-/// One of the hash tables of voxels.
+/// The voxels whose hash selects this table.
 struct VoxelHashTable {
     std::unordered_map<VoxelCell, std::size_t, CellHash> index;
     std::vector<VoxelSums> voxels;
@@ -147,9 +124,8 @@ struct VoxelHashTable {
     }
 };
 
-/// Returns the mean sample of each voxel, sorted by the first sample of the voxel. This
-/// order does not depend on the threads. Reads only a few frames at a time, so that the
-/// memory does not grow with the number of frames.
+/// Returns the mean sample of each voxel, sorted by the first sample of the voxel. Reads
+/// only a few frames at a time, so that memory does not grow with the number of frames.
 std::vector<LidarSample> compute_mean_sample_per_voxel(const LidarSequence& sequence,
                                                        const std::vector<int>& train_frame_indices,
                                                        const SceneInitialisationOptions& options,
@@ -164,9 +140,13 @@ std::vector<LidarSample> compute_mean_sample_per_voxel(const LidarSequence& sequ
                      double(begin) / double(train_frame_indices.size()));
         std::vector<VoxelSamplesByPart> frames(std::min(kFrames, train_frame_indices.size() - begin));
         parallel_for(static_cast<int>(frames.size()), [&](int index) {
-            frames[std::size_t(index)] = partition_frame_samples_by_voxel_hash(
-                sequence, sequence.frames[std::size_t(train_frame_indices[begin + std::size_t(index)])],
-                separate, sensors, options);
+            const LidarFrame& frame =
+                sequence.frames[std::size_t(train_frame_indices[begin + std::size_t(index)])];
+            std::uint32_t number = 0;
+            for (const LidarSample& s : collect_background_samples(sequence, frame, separate, options)) {
+                const VoxelCell cell = find_voxel_cell(s.position, sensors, options);
+                frames[std::size_t(index)][CellHash{}(cell) % kParts].push_back({s, cell, number++});
+            }
         });
         parallel_for(kParts, [&](int part) {
             for (std::size_t i = 0; i < frames.size(); ++i)
@@ -189,8 +169,7 @@ std::vector<LidarSample> compute_mean_sample_per_voxel(const LidarSequence& sequ
     return means;
 }
 
-/// Removes samples at positions where other frames observe empty space. Such samples
-/// belong to moving objects.
+/// Removes samples at positions where other frames observe empty space.
 std::vector<LidarSample> remove_moving_samples(const std::vector<LidarSample>& samples,
                                                const LidarSequence& sequence,
                                                const std::vector<int>& train_frame_indices,
@@ -221,8 +200,8 @@ Surfels initialise_background(const LidarSequence& sequence, const std::vector<i
         samples = remove_moving_samples(samples, sequence, train_frame_indices, progress);
     if (samples.empty())
         fail(
-            "cannot initialise the background of {}: no LiDAR return in its {} training frames lies on a "
-            "static surface (outside the boxes of moving objects), expected at least one",
+            "cannot initialise the background of {}: its {} training frames have no LiDAR return outside "
+            "the boxes of moving objects, expected at least one",
             sequence.name, train_frame_indices.size());
     return make_surfels_from_points(samples, options, sequence.intensity_response.incidence, progress);
 }

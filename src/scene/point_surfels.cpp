@@ -18,13 +18,11 @@ namespace relidar {
 namespace {
 
 constexpr float kSh0 = 0.28209479177387814f;  ///< SH constant of degree 0
-/// Constant of the spherical harmonics of degree 1. The three functions multiply it by
-/// -y, z and -x.
+/// SH constant of degree 1; the three functions multiply it by -y, z and -x
 constexpr double kSh1 = 0.4886025119029199;
 constexpr int kScaleNeighbours = 3;
-/// A surfel is stretched over the gap between scan lines only if the gap is wider than
-/// this multiple of the mean distance to the nearest points. Gaps between randomly
-/// distributed points are narrower.
+/// A gap between scan lines is wider than this multiple of the mean distance to the nearest
+/// points. Gaps between randomly distributed points are narrower.
 constexpr double kGap = 2.5;
 
 /// Adapter that gives nanoflann access to the samples.
@@ -34,30 +32,24 @@ struct SampleKdTreeAdapter {
     float kdtree_get_pt(std::size_t index, std::size_t axis) const {
         return samples[index].position[static_cast<int>(axis)];
     }
-    template <class Box>
-    bool kdtree_get_bbox(Box&) const {
-        return false;
-    }
+    bool kdtree_get_bbox(auto&) const { return false; }
 };
 using Tree = nanoflann::KDTreeSingleIndexAdaptor<nanoflann::L2_Simple_Adaptor<float, SampleKdTreeAdapter>,
                                                  SampleKdTreeAdapter, 3, std::size_t>;
 
 /// Plane through the neighbours of a point.
 struct NeighbourPlane {
-    glm::dvec3 point{0.0};
-    glm::dvec3 normal{0.0};
+    glm::dvec3 point{0.0}, normal{0.0};
     bool is_line = false;  ///< true if the points spread along one axis only
-    /// True if the points lie in a plane. Then their spread along the third axis is less
-    /// than options.flatness times their spread along the second axis.
+    /// true if the points lie in a plane: the spread along the third axis is less than
+    /// options.flatness times the spread along the second axis
     bool is_surface = false;
 };
 
 /// Fits a plane to neighbouring points. The normal is the eigenvector of the smallest
-/// eigenvalue. If all points lie on one scan line, the rotation about the line is
-/// unknown. The function then chooses the normal that faces the sensor most. If the
-/// points form no surface, the normal points to the sensor. With another normal, the
-/// surfel could be edge-on to the sensor, so that rays of the next scan would miss the
-/// surfel.
+/// eigenvalue. If all points lie on one scan line, the normal is the one that faces the
+/// sensor most. If the points form no surface, the normal points to the sensor, because
+/// rays of the next scan would miss a surfel that is edge-on.
 NeighbourPlane fit_plane_to_neighbours(const std::vector<LidarSample>& samples,
                                        const std::vector<std::size_t>& neighbour_indices,
                                        const glm::dvec3& view_direction, double max_flatness) {
@@ -97,9 +89,8 @@ glm::dvec3 make_perpendicular_direction(const glm::dvec3& normal, double angle_r
     return std::cos(angle_rad) * x + std::sin(angle_rad) * glm::cross(normal, x);
 }
 
-/// Distances to the neighbouring scan lines on a surface. `across` is the direction in
-/// the surface that is perpendicular to the scan lines. `left_m` and `right_m` are the
-/// distances to the nearest points on the next scan lines, or 0 if no such point exists.
+/// Distances to the neighbouring scan lines on a surface, along `across`, which is
+/// perpendicular to the scan lines. 0 if no point exists.
 struct ScanLineGap {
     glm::dvec3 across{0.0};
     double left_m = 0.0, right_m = 0.0;
@@ -107,7 +98,6 @@ struct ScanLineGap {
     bool is_neighbouring_scan_line_missing() const { return left_m == 0.0 || right_m == 0.0; }
 };
 
-/// Measures the distance from a point to the next scan line on each side.
 /// @param neighbour_indices indices of points on the surface, sorted by distance; the
 /// first is the point itself
 ScanLineGap measure_scan_line_gap(const std::vector<LidarSample>& samples,
@@ -115,16 +105,14 @@ ScanLineGap measure_scan_line_gap(const std::vector<LidarSample>& samples,
                                   const glm::dvec3& normal) {
     // number of nearest neighbours that lie on the same scan line as the point
     constexpr std::size_t kOnLine = 4;
-    // Cosine of 45 degrees. A neighbour is on the next scan line only if its direction is
-    // within 45 degrees of `gap.across`, the perpendicular to the point's scan line.
+    // Cosine of 45 degrees, the largest angle between `gap.across` and the direction of a
+    // neighbour on the next scan line.
     constexpr double kAcross = 0.7071;
-    // Maximum distance of a neighbour from the surface plane: kSlope times the distance
-    // between the neighbour and the sample, plus kNoise_m.
+    // Maximum distance of a neighbour from the surface plane: kSlope * distance + kNoise_m.
     constexpr double kSlope = 0.1, kNoise_m = 0.05;
     const glm::dvec3 point(samples[neighbour_indices[0]].position),
         x = make_perpendicular_direction(normal, 0.0), y = glm::cross(normal, x);
-    // Averages the directions of lines. Doubles each angle, because opposite directions
-    // mean the same line.
+    // Doubles each angle, because opposite directions mean the same line.
     double even = 0.0, odd = 0.0;
     for (std::size_t j = 1; j < std::min(neighbour_indices.size(), kOnLine + 1); ++j) {
         const glm::dvec3 d = glm::dvec3(samples[neighbour_indices[j]].position) - point;
@@ -146,9 +134,8 @@ ScanLineGap measure_scan_line_gap(const std::vector<LidarSample>& samples,
 
 /// Sets the SH coefficients of degrees 0 and 1. They encode the intensity a (1 - q (1 -
 /// cos)) with albedo a and cos = -n . d, where d is the direction of a ray towards the
-/// surface. The cosine has a lower limit, because the albedo is inaccurate at grazing
-/// angles.
-/// @param z_axis zero if unknown; then the intensity is the same from all directions
+/// surface. Grazing angles have a lower limit, because their albedo is inaccurate.
+/// @param normal zero if unknown; then the intensity is the same from all directions
 void set_intensity_harmonics(float* sh_coefficients, const LidarSample& sample, const glm::dvec3& normal,
                              double incidence_coefficient) {
     constexpr double kGrazing = 0.1;
@@ -163,29 +150,24 @@ void set_intensity_harmonics(float* sh_coefficients, const LidarSample& sample, 
     sh_coefficients[3] = static_cast<float>(-slope.x);
 }
 
-/// Indices of the n samples nearest to a sample, sorted by distance, and their squared
-/// distances.
-struct NearestSamples {
-    std::vector<std::size_t> samples;
-    std::vector<float> distance2;
+/// Returns the indices of the `count` nearest samples, sorted by distance.
+std::vector<std::size_t> find_nearest(const Tree& tree, const LidarSample& sample, std::size_t count,
+                                      std::vector<float>& distance2) {
+    std::vector<std::size_t> samples(count);
+    distance2.resize(count);
+    samples.resize(tree.knnSearch(&sample.position.x, count, samples.data(), distance2.data()));
+    return samples;
+}
 
-    NearestSamples(const Tree& tree, const LidarSample& sample, std::size_t count)
-        : samples(count), distance2(count) {
-        samples.resize(tree.knnSearch(&sample.position.x, count, samples.data(), distance2.data()));
-    }
-};
-
-/// Plane in which a new surfel lies, and the distances to the scan lines on both sides of
-/// the surfel.
+/// Plane in which a new surfel lies, and the distances to the scan lines beside it.
 struct SurfelPlacement {
     NeighbourPlane plane;
     ScanLineGap gap;
 };
 
-/// Fits a plane to the samples nearest to a sample, and measures the distances to the
-/// scan lines on its left and right. Uses more samples if all lie on one scan line,
-/// because the plane could rotate about this line. Also uses more samples if no sample
-/// lies on the left scan line, or none on the right.
+/// Fits a plane to the nearest samples, and measures the gap between scan lines. Uses more
+/// samples if all lie on one scan line, because the plane could rotate about this line, or
+/// if there is no sample on the left or right scan line.
 SurfelPlacement estimate_surface_at_sample(const Tree& tree, const std::vector<LidarSample>& samples,
                                            std::size_t sample_index, std::vector<std::size_t> nearest_indices,
                                            const SceneInitialisationOptions& options) {
@@ -194,17 +176,17 @@ SurfelPlacement estimate_surface_at_sample(const Tree& tree, const std::vector<L
         fit_plane_to_neighbours(samples, nearest_indices, samples[sample_index].view, options.flatness), {}};
     if (options.max_gap_m <= 0.0) return placement;
     const auto widen = [&] {
-        nearest_indices =
-            NearestSamples(tree, samples[sample_index], std::min(4 * nearest_indices.size(), samples.size()))
-                .samples;
+        std::vector<float> distance2;
+        nearest_indices = find_nearest(tree, samples[sample_index],
+                                       std::min(4 * nearest_indices.size(), samples.size()), distance2);
     };
     const bool is_line = placement.plane.is_line;
     for (int k = 0; is_line && !placement.plane.is_surface && k < kWider; ++k) {
         widen();
         const NeighbourPlane wider =
             fit_plane_to_neighbours(samples, nearest_indices, samples[sample_index].view, options.flatness);
-        // `wider` is fitted to more samples than the first plane. Uses only its normal,
-        // because its position is too coarse. The new plane passes through the sample.
+        // The position of the wider plane is too coarse. The new plane passes through the
+        // sample.
         if (wider.is_surface) placement.plane = {samples[sample_index].position, wider.normal, true, true};
     }
     if (!placement.plane.is_surface) return placement;
@@ -215,30 +197,26 @@ SurfelPlacement estimate_surface_at_sample(const Tree& tree, const std::vector<L
     return placement;
 }
 
-/// Computes all parameters of surfel `surfel_index` from its sample and the nearby
-/// samples.
 void compute_surfel_parameters(Surfels& surfels, std::size_t surfel_index,
                                const std::vector<LidarSample>& samples, const Tree& tree,
                                const SceneInitialisationOptions& options, double incidence_coefficient) {
     const std::size_t k =
         std::min<std::size_t>(std::max(options.normal_neighbours, kScaleNeighbours) + 1, samples.size());
-    NearestSamples nearest(tree, samples[surfel_index], k);
-    // Mean distance to the three nearest other samples.
+    std::vector<float> distance2;
+    std::vector<std::size_t> nearest = find_nearest(tree, samples[surfel_index], k, distance2);
     double distance_sum_m = 0.0;
     std::size_t n_others = 0;
-    for (std::size_t j = 1; j < nearest.samples.size() && n_others < kScaleNeighbours; ++j, ++n_others)
-        distance_sum_m += std::sqrt(nearest.distance2[j]);
+    for (std::size_t j = 1; j < nearest.size() && n_others < kScaleNeighbours; ++j, ++n_others)
+        distance_sum_m += std::sqrt(distance2[j]);
     const double spacing = n_others ? distance_sum_m / double(n_others) : options.voxel_m;
     Random random(hash_integer_pair(options.seed, surfel_index));
-    nearest.samples.resize(std::min(nearest.samples.size(), std::size_t(options.normal_neighbours) + 1));
-    // Draws one number per statement, because the compiler chooses the order of
-    // arguments. Another order than z, y, x would change the surfels.
+    nearest.resize(std::min(nearest.size(), std::size_t(options.normal_neighbours) + 1));
+    // In the order z, y, x. Another order would change the surfels.
     glm::dvec3 random_direction;
     for (int axis = 2; axis >= 0; --axis) random_direction[axis] = random.sample_standard_normal();
     SurfelPlacement placement{{{}, random_direction / std::max(glm::length(random_direction), 1e-12)}, {}};
-    if (options.normals && nearest.samples.size() >= 3)
-        placement =
-            estimate_surface_at_sample(tree, samples, surfel_index, std::move(nearest.samples), options);
+    if (options.normals && nearest.size() >= 3)
+        placement = estimate_surface_at_sample(tree, samples, surfel_index, std::move(nearest), options);
     const NeighbourPlane& plane = placement.plane;
     surfels.mean[surfel_index] = samples[surfel_index].position;
     if (options.flatness < 1.0 && plane.is_surface)
@@ -287,8 +265,7 @@ Surfels make_surfels_from_points(const std::vector<LidarSample>& samples,
 std::vector<LidarSample> select_one_sample_per_voxel(const std::vector<LidarSample>& samples,
                                                      std::size_t max_count,
                                                      std::vector<std::uint32_t>* selected_indices) {
-    // Edge length of a voxel. The jitter of labelled boxes blurs details smaller than a
-    // voxel.
+    // The jitter of labelled boxes blurs smaller details.
     constexpr double kVoxel_m = 0.06;
     std::unordered_set<std::uint64_t> occupied_voxels;
     std::vector<std::uint32_t> first;

@@ -34,8 +34,8 @@ void for_each_return(const LidarSequence& sequence, const LidarFrame& frame, boo
     }
 }
 
-/// Makes one surfel for each sample. The surfels are sorted in kd-tree order. If normals
-/// are estimated, the initial intensity depends on the angle of incidence.
+/// Makes one surfel for each sample, in kd-tree order. If normals are estimated, the
+/// initial intensity depends on the angle of incidence.
 /// @param samples must not be empty
 /// @param incidence_coefficient strength of this dependence (IntensityResponse)
 /// @param sample_order output [n]: the index of each surfel's sample
@@ -44,9 +44,8 @@ Surfels make_surfels_from_points(const std::vector<LidarSample>& samples,
                                  const ProgressReporter& progress = {},
                                  std::vector<std::uint32_t>* sample_order = nullptr);
 
-/// Divides the samples of an actor into voxels, and returns the first sample of each
-/// voxel. Returns at most `max_count` samples. The samples of a voxel are not averaged:
-/// labels jitter, so averages would shrink the actor.
+/// Returns the first sample of each voxel of an actor, at most `max_count`. The samples of
+/// a voxel are not averaged: labels jitter, so averages would shrink the actor.
 /// @param selected_indices output: indices of the returned samples
 std::vector<LidarSample> select_one_sample_per_voxel(const std::vector<LidarSample>& samples,
                                                      std::size_t max_count,

@@ -17,7 +17,6 @@
 
 namespace relidar {
 
-/// Maps the number of each frame to the indices of the samples of this frame.
 inline std::map<int, std::vector<std::uint32_t>> group_sample_indices_by_frame(
     const std::vector<LidarSample>& samples) {
     std::map<int, std::vector<std::uint32_t>> groups;
@@ -29,15 +28,11 @@ inline std::map<int, std::vector<std::uint32_t>> group_sample_indices_by_frame(
 struct SampleCloud {
     const std::vector<LidarSample>& samples;
     std::vector<std::uint32_t> of;  ///< indices of the samples
-
     std::size_t kdtree_get_point_count() const { return of.size(); }
     float kdtree_get_pt(std::size_t index, std::size_t axis) const {
         return samples[of[index]].position[int(axis)];
     }
-    template <class Box>
-    bool kdtree_get_bbox(Box&) const {
-        return false;
-    }
+    bool kdtree_get_bbox(auto&) const { return false; }
 };
 using SampleTree = nanoflann::KDTreeSingleIndexAdaptor<nanoflann::L2_Simple_Adaptor<float, SampleCloud>,
                                                        SampleCloud, 3, std::size_t>;
@@ -50,7 +45,7 @@ struct SampleIndex {
         : cloud{samples, std::move(sample_indices)},
           tree(3, cloud, nanoflann::KDTreeSingleIndexAdaptorParams(8)) {}
 
-    /// Returns the distance to the nearest sample, limited to `max_distance_m`.
+    /// Limited to `max_distance_m`.
     double compute_nearest_distance_m(const glm::vec3& point_m, double max_distance_m) const {
         if (cloud.of.empty()) return max_distance_m;
         std::size_t nearest;
@@ -58,8 +53,7 @@ struct SampleIndex {
         tree.knnSearch(&point_m.x, 1, &nearest, &distance2);
         return std::min(max_distance_m, std::sqrt(double(distance2)));
     }
-    /// Returns the indices of at most `max_count` samples within a radius around
-    /// `point_m`, sorted by distance.
+    /// Returns at most `max_count` indices of samples, sorted by distance.
     std::vector<std::uint32_t> find_samples_within_radius(const glm::vec3& point_m, double radius_m,
                                                           std::size_t max_count) const {
         std::vector<std::size_t> tree_indices(max_count);

@@ -31,9 +31,7 @@ SurfelParameterSet read_surfel_parameter_set(const std::string& error_location,
     std::vector<std::string> names;
     for (const PrimitiveProperties& kind : kPrimitives) names.emplace_back(kind.name);
     const auto text = metadata.find(primitive_key);
-    if (text == metadata.end())
-        fail("{}: the metadata key \"{}\" is missing; its value must be one of {}", error_location,
-             primitive_key, fmt::join(names, ", "));
+    if (text == metadata.end()) fail("{}: the metadata key \"{}\" is missing", error_location, primitive_key);
     for (const PrimitiveProperties& kind : kPrimitives)
         if (kind.name == text->second) return {kind.primitive, has_array(kParameterGroups.front().name)};
     fail("{}: {}: found \"{}\", expected one of {}", error_location, primitive_key,
@@ -51,15 +49,11 @@ SurfelArrays::SurfelArrays(Device& device, std::uint32_t count, const std::strin
 void SurfelArrays::upload(const Surfels& surfels) {
     surfels.require_equal_array_lengths();
     if (surfels.size() > 0 && surfels.primitive != primitive)
-        fail(
-            "cannot copy the scene to the device: it consists of {}, but the arrays on the device were "
-            "created for {}",
-            get_primitive_properties(surfels.primitive).label, get_primitive_properties(primitive).label);
+        fail("cannot upload {} to arrays of {}", get_primitive_properties(surfels.primitive).label,
+             get_primitive_properties(primitive).label);
     if (surfels.size() > 0 && surfels.bends != bends)
-        fail(
-            "cannot copy the scene to the device: its surfels have {}, but the arrays on the device were "
-            "created for surfels with {}",
-            surfels.bends ? "a gait" : "no gait", bends ? "a gait" : "no gait");
+        fail("cannot upload surfels with{} gait to arrays with{} gait", surfels.bends ? "" : "out",
+             bends ? "" : "out");
     for (const SurfelParameterGroup& group : list_parameter_groups(get_parameter_set()))
         group.mutable_device(*this).upload(group.values(surfels));
 }

@@ -1,9 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Writes and reads surfels as PLY files in the layout of tools for 3D Gaussian splatting.
-// Parameters that these tools use keep their usual names and activations. A surfel is
-// stored as a flat Gaussian. The LiDAR channels are additional properties, so that
-// relidar can read a file after editing in such a tool. The reader compares each number
-// in the header with the file size before it uses the number.
+// Writes and reads surfels as PLY files in the layout of 3D Gaussian splatting. A surfel is
+// stored as a flat Gaussian. The LiDAR channels are additional properties. The reader
+// compares each number in the header with the file size before it uses the number.
 #include <relidar/base/files.hpp>
 #include <relidar/scene/surfel_ply.hpp>
 
@@ -34,19 +32,15 @@ namespace {
 
 constexpr std::uint32_t kColours = 3;
 constexpr std::uint32_t kRest = kShCoefficients - 1;
-// Logarithm of the thickness of a surfel in metres. Viewers that draw ellipsoids need a
-// thickness.
+// Logarithm of the thickness of a surfel in metres, which viewers of ellipsoids need.
 const float kFlat = std::log(1e-4f);
-constexpr std::string_view kEndOfHeader = "\nend_header";  // a Unix or a Windows line end must follow
 constexpr std::size_t kMaxPlyHeader = 65536;
 constexpr std::size_t kMaxSurfels = 4294967295;
-// The index of a model is stored as a float, which is exact up to this number.
-constexpr std::size_t kMaxModels = 1u << 24;
 
 const auto& [kGait, kMean, kRotation, kLogScale, kOpacityLogit, kSh, kLogScaleW] = kParameterGroups;
 
-/// A property (column) of the PLY file: a surfel parameter, or a value that only other
-/// tools need. These tools expect red, green and blue, so all three hold the intensity.
+/// A property (column) of the PLY file. Other tools expect red, green and blue, so all
+/// three hold the intensity.
 struct PlyProperty {
     std::string name;
     const SurfelParameterGroup* group = nullptr;  ///< parameter group of the property, or null
@@ -81,7 +75,6 @@ std::vector<PlyProperty> list_ply_properties(SurfelParameterSet parameter_set) {
     return list;
 }
 
-/// Returns the normal of a surfel, which is the third column of its rotation matrix.
 /// Returns zero if the quaternion is zero or not a number.
 glm::vec3 compute_normal_from_quaternion(const glm::vec4& wxyz) {
     const float length = glm::length(wxyz);
@@ -108,11 +101,9 @@ float get_property_value(const PlyProperty& property, const Surfels& surfels, st
     return 0.0f;
 }
 
-/// Layout of the records in a PLY file, parsed from its header: the number of records,
-/// and the name and byte offset of each property.
+/// Number of records in a PLY file, and name and byte offset of each property.
 struct PlyRecordLayout {
-    std::size_t count = 0;
-    std::size_t stride = 0;
+    std::size_t count = 0, stride = 0;
     struct Field {
         std::string name;
         bool is_float;
@@ -134,15 +125,6 @@ std::size_t get_ply_type_size_bytes(const std::string& type_name) {
          shorten_for_error_message(type_name));
 }
 
-void append_record_field(PlyRecordLayout& layout, const std::string& type_name,
-                         const std::string& field_name) {
-    if (std::any_of(layout.fields.begin(), layout.fields.end(),
-                    [&](const PlyRecordLayout::Field& f) { return f.name == field_name; }))
-        fail("property {} occurs twice, expected it once", shorten_for_error_message(field_name));
-    layout.fields.push_back({field_name, type_name == "float" || type_name == "float32", layout.stride});
-    layout.stride += get_ply_type_size_bytes(type_name);
-}
-
 PlyRecordLayout parse_ply_header(const std::string& header) {
     PlyRecordLayout layout;
     bool has_vertex = false, has_format = false;
@@ -157,14 +139,11 @@ PlyRecordLayout parse_ply_header(const std::string& header) {
         if (what == "format") {
             has_format = true;
             if (first != "binary_little_endian")
-                fail("found format {}, expected binary_little_endian (export as binary PLY)",
-                     shorten_for_error_message(first));
+                fail("found format {}, expected binary_little_endian", shorten_for_error_message(first));
         } else if (what == "element") {
             if (first != "vertex" || has_vertex)
-                fail(
-                    "found the PLY element {}, expected only one element, vertex (export as uncompressed "
-                    "PLY)",
-                    shorten_for_error_message(first));
+                fail("found the PLY element {}, expected only one element, vertex",
+                     shorten_for_error_message(first));
             has_vertex = true;
             const char* const end = second.data() + second.size();
             const auto [stop, error] = std::from_chars(second.data(), end, layout.count);
@@ -175,7 +154,11 @@ PlyRecordLayout parse_ply_header(const std::string& header) {
             if (!has_vertex)
                 fail("the PLY property {} comes before the element vertex, expected after it",
                      shorten_for_error_message(second));
-            append_record_field(layout, first, second);
+            if (std::ranges::find(layout.fields, second, &PlyRecordLayout::Field::name) !=
+                layout.fields.end())
+                fail("property {} occurs twice, expected it once", shorten_for_error_message(second));
+            layout.fields.push_back({second, first == "float" || first == "float32", layout.stride});
+            layout.stride += get_ply_type_size_bytes(first);
         }
     }
     if (!has_format || !has_vertex)
@@ -190,21 +173,15 @@ struct PlyColumns {
     std::vector<PlyProperty> missing;
 };
 
-/// Returns the number of harmonics above degree 0 that a file has for each colour. The
-/// properties f_rest_* of a file of degree 1 or 2 are 3 times 3 or 3 times 8.
-std::uint32_t count_rest_coefficients(const PlyRecordLayout& layout) {
-    const auto n = std::ranges::count_if(
-        layout.fields, [](const PlyRecordLayout::Field& f) { return f.name.starts_with("f_rest_"); });
-    return n == 9 || n == 24 ? std::uint32_t(n / kColours) : kRest;
-}
-
 PlyColumns find_ply_properties(const PlyRecordLayout& layout, SurfelParameterSet parameter_set) {
     PlyColumns columns;
-    const std::uint32_t n_rest = count_rest_coefficients(layout);
+    // A file of degree 1 or 2 has 3 times 3 or 3 times 8 harmonics above degree 0.
+    const auto n = std::ranges::count_if(
+        layout.fields, [](const PlyRecordLayout::Field& f) { return f.name.starts_with("f_rest_"); });
+    const std::uint32_t n_rest = n == 9 || n == 24 ? std::uint32_t(n / kColours) : kRest;
     for (const PlyProperty& p : list_ply_properties(parameter_set)) {
         if (!p.read) continue;
-        const auto it = std::find_if(layout.fields.begin(), layout.fields.end(),
-                                     [&](const PlyRecordLayout::Field& f) { return f.name == p.name; });
+        const auto it = std::ranges::find(layout.fields, p.name, &PlyRecordLayout::Field::name);
         if (it == layout.fields.end() || (p.name.starts_with("f_rest_") && p.index > n_rest)) {
             columns.missing.push_back(p);
             continue;
@@ -216,8 +193,7 @@ PlyColumns find_ply_properties(const PlyRecordLayout& layout, SurfelParameterSet
     return columns;
 }
 
-/// Throws an error if properties are missing that no other surfels can supply. A file
-/// with all properties except `model` has surfels in the world frame.
+/// @throws DataError if properties are missing that no other surfels can supply
 void require_restorable(const PlyColumns& columns, const Scene& run_scene, SurfelParameterSet parameter_set) {
     for (const PlyProperty& p : columns.missing)
         if (p.group == &kMean || columns.missing.front().kind == PlyProperty::model ||
@@ -231,10 +207,8 @@ void require_valid_property_value(float value, const PlyProperty& property, std:
         fail("vertex {}: {} is {}, expected a finite number", vertex_index, property.name, value);
     if (property.kind == PlyProperty::model &&
         (value < 0.0f || value != std::floor(value) || value >= float(n_models)))
-        fail(
-            "vertex {}: the property \"model\" is {}, expected a whole number of at least 0 and below {}, "
-            "the number of models in the run",
-            vertex_index, value, n_models);
+        fail("vertex {}: the property \"model\" is {}, expected a whole number below {}", vertex_index, value,
+             n_models);
 }
 
 std::vector<std::uint32_t> list_model_of_each_surfel(const Scene& scene) {
@@ -253,8 +227,8 @@ public:
         for (std::uint32_t i = 0; i < run_.size(); ++i) cells_.emplace(get_cell_key(run_.mean[i]), i);
     }
 
-    /// Returns the run's surfel at the position of a surfel. Of several surfels at this
-    /// position, returns the most similar one that has not been returned before.
+    /// Of several surfels at the position, returns the most similar one that has not been
+    /// returned before.
     std::optional<std::uint32_t> find_match(const Surfels& surfels, std::size_t i) {
         using Difference = std::tuple<float, float, bool>;
         std::optional<std::pair<Difference, std::uint32_t>> best;
@@ -301,19 +275,6 @@ private:
     std::unordered_multimap<std::uint64_t, std::uint32_t> cells_;
 };
 
-[[noreturn]] void throw_moved_surfels_error(const Surfels& surfels, std::size_t i, std::size_t n_moved,
-                                            const PlyColumns& columns, const Scene& run_scene) {
-    float nearest_m = std::numeric_limits<float>::infinity();
-    for (const glm::vec3& mean : run_scene.surfels.mean)
-        nearest_m = std::min(nearest_m, glm::distance(mean, surfels.mean[i]));
-    const glm::vec3& at = surfels.mean[i];
-    fail(
-        "the property {} is missing, and {} of {} surfels are not at the position of a surfel of the run, "
-        "which has this property (vertex {} is at {} {} {}, {:.3g} m from the nearest one); expected surfels "
-        "that were not moved, rotated, scaled or added, or all properties that `relidar export` writes",
-        columns.missing.front().name, n_moved, surfels.size(), i, at.x, at.y, at.z, nearest_m);
-}
-
 /// Copies the missing properties from the surfels of the run at the same positions.
 /// @return a note about the surfels that were matched
 std::string restore_missing_properties(Surfels& surfels, std::vector<std::uint32_t>& model,
@@ -332,12 +293,22 @@ std::string restore_missing_properties(Surfels& surfels, std::vector<std::uint32
                     p.group->values(run_scene.surfels)[*match * p.group->count_floats() + p.index];
         }
     }
-    if (n_moved > 0) throw_moved_surfels_error(surfels, first_moved, n_moved, columns, run_scene);
+    if (n_moved > 0) {
+        const glm::vec3& at = surfels.mean[first_moved];
+        float nearest_m = std::numeric_limits<float>::infinity();
+        for (const glm::vec3& mean : run_scene.surfels.mean)
+            nearest_m = std::min(nearest_m, glm::distance(mean, at));
+        fail(
+            "the property {} is missing, and {} of {} surfels are not at the position of a surfel of the "
+            "run (vertex {} is {:.3g} m from the nearest one); expected surfels that were not moved, "
+            "or all properties that `relidar export` writes",
+            columns.missing.front().name, n_moved, surfels.size(), first_moved, nearest_m);
+    }
     if (columns.missing.back().kind == PlyProperty::model && matcher.count_twins() > 0 &&
         matcher.count_unused() > 0)
         fail(
             "the property model is missing, {} surfels fit several models of the run, and {} surfels of the "
-            "run are not in the file; expected the property model, which shows whose surfels are deleted",
+            "run are not in the file; expected the property model",
             matcher.count_twins(), matcher.count_unused());
     return fmt::format(
         "the file lacks {} properties, such as {}; they are those of the run's surfels at the same "
@@ -367,23 +338,11 @@ Scene group_surfels_by_model(const Surfels& surfels, const std::vector<std::uint
     return scene;
 }
 
-/// Returns the position of the line end before "end_header", or npos if the header has no
-/// end.
-std::size_t find_newline_before_end_header(const std::string& file_start) {
-    std::size_t at = file_start.find(kEndOfHeader);
-    while (at != std::string::npos) {
-        const std::string_view behind = std::string_view(file_start).substr(at + kEndOfHeader.size(), 2);
-        if (behind.starts_with('\n') || behind == "\r\n") break;
-        at = file_start.find(kEndOfHeader, at + 1);
-    }
-    return at;
-}
-
 Scene parse_ply_surfels(const std::vector<std::byte>& file_bytes, const Scene& scene_layout,
                         SurfelParameterSet parameter_set, std::string& note) {
     const std::string start(reinterpret_cast<const char*>(file_bytes.data()),
                             std::min(file_bytes.size(), kMaxPlyHeader));
-    const std::size_t end = find_newline_before_end_header(start);
+    const std::size_t end = std::min(start.find("\nend_header\n"), start.find("\nend_header\r\n"));
     if (!start.starts_with("ply")) throw DataError("the file does not begin with \"ply\"");
     if (end == std::string::npos) fail("end_header is missing in the first {} bytes", start.size());
     const PlyRecordLayout layout = parse_ply_header(start.substr(0, end));
@@ -412,8 +371,6 @@ Scene parse_ply_surfels(const std::vector<std::byte>& file_bytes, const Scene& s
     return group_surfels_by_model(surfels, model, scene_layout);
 }
 
-/// Returns the header of a PLY file.
-/// @param frame_name name of the coordinate frame of the positions
 std::string make_ply_header_text(const Surfels& surfels, const std::vector<PlyProperty>& properties,
                                  const char* frame_name, const FileMetadata& notes = {}) {
     std::string text = "ply\nformat binary_little_endian 1.0\ncomment relidar ";
@@ -427,60 +384,40 @@ std::string make_ply_header_text(const Surfels& surfels, const std::vector<PlyPr
     return text + "end_header\n";
 }
 
-void write_ply_records(report_detail::OutputFile& file, const Surfels& surfels,
-                       const std::vector<PlyProperty>& properties, const SurfelModel& model,
-                       std::size_t model_index) {
-    std::vector<float> record(properties.size());
-    for (std::size_t i = model.first; i < std::size_t(model.first) + model.count; ++i) {
-        for (std::size_t k = 0; k < properties.size(); ++k)
-            record[k] = get_property_value(properties[k], surfels, i, model_index);
-        file.write(record.data(), record.size() * sizeof(float));
-    }
-}
-
-void require_contiguous_model_ranges(const Scene& scene) {
-    std::size_t next = 0;
-    for (const SurfelModel& m : scene.models) {
-        if (m.first != next)
-            fail(
-                "cannot export the scene: the surfels of model {} start at index {}, expected index {}, "
-                "directly after the surfels of the previous model",
-                m.name, m.first, next);
-        next += m.count;
-    }
-    if (next != scene.surfels.size() || scene.models.size() > kMaxModels)
-        fail(
-            "cannot export the scene: its {} models have {} surfels in total, expected at most {} models "
-            "that together have all {} surfels of the scene",
-            scene.models.size(), next, kMaxModels, scene.surfels.size());
+/// Writes the surfels of `models`, in the order of the models.
+void write_file(const std::filesystem::path& path, const Surfels& surfels,
+                const std::vector<SurfelModel>& models, const std::vector<PlyProperty>& properties,
+                const std::string& header) {
+    write_file_atomically(path, [&](const std::filesystem::path& temporary) {
+        surfels.require_equal_array_lengths();
+        report_detail::OutputFile file(temporary);
+        file.write(header);
+        std::vector<float> record(properties.size());
+        for (std::size_t model = 0; model < models.size(); ++model)
+            for (std::size_t i = models[model].first, end = i + models[model].count; i < end; ++i) {
+                for (std::size_t k = 0; k < properties.size(); ++k)
+                    record[k] = get_property_value(properties[k], surfels, i, model);
+                file.write(record.data(), record.size() * sizeof(float));
+            }
+        file.close();
+    });
 }
 
 }  // namespace
 
 void write_surfel_ply(const std::filesystem::path& path, const Scene& scene) {
-    write_file_atomically(path, [&](const std::filesystem::path& temporary) {
-        scene.surfels.require_equal_array_lengths();
-        require_contiguous_model_ranges(scene);
-        const std::vector<PlyProperty> list = list_ply_properties(scene.surfels.get_parameter_set());
-        report_detail::OutputFile file(temporary);
-        file.write(make_ply_header_text(scene.surfels, list, "frame of each model"));
-        for (std::size_t model = 0; model < scene.models.size(); ++model)
-            write_ply_records(file, scene.surfels, list, scene.models[model], model);
-        file.close();
-    });
+    require_valid_scene_layout(scene);
+    const std::vector<PlyProperty> list = list_ply_properties(scene.surfels.get_parameter_set());
+    write_file(path, scene.surfels, scene.models, list,
+               make_ply_header_text(scene.surfels, list, "frame of each model"));
 }
 
 void write_surfel_ply(const std::filesystem::path& path, const Surfels& surfels,
                       const FileMetadata& header_comments) {
-    write_file_atomically(path, [&](const std::filesystem::path& temporary) {
-        surfels.require_equal_array_lengths();
-        std::vector<PlyProperty> list = list_ply_properties(surfels.get_parameter_set());
-        std::erase_if(list, [](const PlyProperty& property) { return property.kind == PlyProperty::model; });
-        report_detail::OutputFile file(temporary);
-        file.write(make_ply_header_text(surfels, list, "world", header_comments));
-        write_ply_records(file, surfels, list, {"", 0, static_cast<std::uint32_t>(surfels.size())}, 0);
-        file.close();
-    });
+    std::vector<PlyProperty> list = list_ply_properties(surfels.get_parameter_set());
+    list.pop_back();  // the model
+    write_file(path, surfels, {{"", 0, static_cast<std::uint32_t>(surfels.size())}}, list,
+               make_ply_header_text(surfels, list, "world", header_comments));
 }
 
 Scene read_surfel_ply(const std::filesystem::path& path, const Scene& scene_layout, PrimitiveType primitive,

@@ -59,21 +59,15 @@ void Surfels::require_equal_array_lengths() const {
         const std::size_t n_values = group.values(*this).size(),
                           n_expected_values = is_there ? size() * group.count_floats() : 0;
         if (n_values != n_expected_values)
-            fail(
-                "cannot use {0}: the array {1} has {2} values, expected {3}, which is {4} for each of the "
-                "{5} {0}",
-                get_primitive_properties(primitive).label, group.name, n_values, n_expected_values,
-                is_there ? group.count_floats() : 0, size());
+            fail("cannot use {} {}: the array {} has {} values, expected {}", size(),
+                 get_primitive_properties(primitive).label, group.name, n_values, n_expected_values);
     }
 }
 
 void Surfels::append_surfels(const Surfels& other) {
     if (size() > 0 && other.size() > 0 && primitive != other.primitive)
-        fail(
-            "cannot join {} {} with {} {}, expected two sets of the same kind; use runs that were trained "
-            "with the same setting image.primitive",
-            size(), get_primitive_properties(primitive).label, other.size(),
-            get_primitive_properties(other.primitive).label);
+        fail("cannot join {} with {}, expected runs with the same setting image.primitive",
+             get_primitive_properties(primitive).label, get_primitive_properties(other.primitive).label);
     if (other.size() > 0) primitive = other.primitive;
     if (other.bends) add_motionless_gait();
     const std::size_t n = size() + other.size();
@@ -120,8 +114,7 @@ Scene copy_scene_with_new_background(const Scene& scene, const Surfels& backgrou
     other.blocks.clear();
     other.surfels = background.reorder(compute_kd_tree_order(background.mean));
     other.models.front().count = n;
-    // If the new background has fewer surfels than the old one, `n - before` wraps around
-    // (modulo 2^32). Adding it still gives the correct index, because the sum wraps back.
+    // If `n - before` wraps around (modulo 2^32), the sum wraps back.
     for (std::size_t i = 1; i < other.models.size(); ++i) other.models[i].first += n - before;
     other.surfels.append_surfels(scene.surfels.slice(before, scene.surfels.size() - before));
     return other;
@@ -171,6 +164,21 @@ std::vector<std::uint32_t> compute_kd_tree_order(const std::vector<glm::vec3>& p
         ranges.push_back({middle, last});
     }
     return order;
+}
+
+void require_valid_scene_layout(const Scene& scene) {
+    std::size_t next = 0;
+    for (const SurfelModel& model : scene.models) {
+        if (model.first != next)
+            fail("scene: model {} starts at surfel {}, expected {}", model.name, model.first, next);
+        next += model.count;
+    }
+    if (next != scene.surfels.size())
+        fail("scene: the models have {} surfels in total, expected {}", next, scene.surfels.size());
+    for (const ModelInstance& instance : scene.instances)
+        if (instance.model >= scene.models.size())
+            fail("scene: an instance uses model {}, expected one of {} models", instance.model,
+                 scene.models.size());
 }
 
 double compute_actor_model_extent_m(const glm::vec3& half_size_m) {

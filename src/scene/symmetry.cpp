@@ -5,15 +5,12 @@
 namespace relidar {
 namespace {
 
-// An object without a class counts as a vehicle if it is at least this long. Cyclists are
-// shorter.
+// minimum length of a vehicle without a class; cyclists are shorter
 constexpr double kShortestVehicle_m = 3.0;
-// An object is symmetric if its left surface and its mirrored right surface are at most
-// this far apart. A small distance can remain, because the middle of a too large box is
-// not the symmetry plane of the object.
+// Maximum distance between the left and the mirrored right surface of a symmetric object.
+// The middle of a too large box is not exactly its symmetry plane.
 constexpr double kMostAsymmetry_m = 0.15;
-/// Indices of the spherical harmonics that are odd in y, which means that they have a
-/// negative order.
+/// indices of the spherical harmonics that are odd in y (negative order)
 constexpr int kOddInY[] = {1, 4, 5, 9, 10, 11};
 
 }  // namespace
@@ -27,9 +24,7 @@ Surfels mirror_left_right(Surfels surfels) {
     for (std::size_t i = 0; i < surfels.size(); ++i) {
         surfels.mean[i].y *= -1.0f;
         if (surfels.bends) surfels.gait[i].swing.y *= -1.0f;
-        // Mirrors the quaternion (w, x, y, z). The mirrored rotation has a mirrored axis
-        // and turns in the opposite direction.
-        glm::vec4& q = surfels.rotation[i];
+        glm::vec4& q = surfels.rotation[i];  // (w, x, y, z)
         q = {q[0], -q[1], q[2], -q[3]};
         for (int channel = 0; channel < kShChannels; ++channel)
             for (const int k : kOddInY)

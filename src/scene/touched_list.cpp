@@ -43,8 +43,6 @@ Address<std::uint32_t, shared::TouchedCount> TouchedSurfelList::get_touched_coun
 }
 
 std::size_t TouchedSurfelList::choose_thread_count_for_touched_rows(std::size_t max_touched_rows) const {
-    // Uses fewer threads on a CPU than on a GPU, so that each thread processes more
-    // surfels.
     const bool is_cpu = !should_coalesce_memory_access(impl_->device);
     return std::min(max_touched_rows, is_cpu ? std::size_t(1) << 12 : std::size_t(1) << 17);
 }

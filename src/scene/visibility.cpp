@@ -17,27 +17,23 @@ namespace relidar {
 namespace {
 
 constexpr int kMostRows = 96, kEvenRows = 64, kFewestColumns = 64, kMostColumns = 1024;
-// Ratio (columns of a range image per turn) / (rays per turn in a scan row). A point is
-// compared with the returns in the 2 x 3 cells (rows x columns) around it. With this
-// ratio, these cells contain four or five returns: two rows of 3 / (4/3) = 2.25 rays.
+// Ratio (columns of a range image per turn) / (rays per turn in a scan row). The 2 x 3
+// cells around a point then contain four or five returns: two rows of 3 / (4/3) rays.
 constexpr double kCellsPerRay = 4.0 / 3.0;
 constexpr double kBeyond_rad = 0.002;  // margin at the outermost beams, about the width of a beam
 constexpr int kMinReturns = 3;  // the 2 x 3 cells around a point must contain at least this many returns
-// Number of azimuth sectors of a sweep. One sensor position is used per sector, because
-// the sensor moves only millimetres to centimetres within one sector.
+// Number of azimuth sectors of a sweep with one sensor position each.
 constexpr int kSectors = 64;
-// A frame finds a point empty if all its returns in this direction are behind the point.
-// Minimum distance behind the point, as a multiple of the range error `margin`.
+// A frame finds a point empty if all its returns in this direction are farther behind the
+// point than this multiple of the range error `margin`.
 constexpr double kBehind = 1.5;
-// Edge length of a square ground tile. The range images of some frames decide whether the
-// space at a point is empty. All points above one tile use the same frames.
+// Edge length of a square ground tile. All points above one tile use the same frames.
 constexpr double kTile_m = 8.0;
-// A frame is used for points above a ground tile only if its sensor is at most this far
-// from the tile. At a larger distance, even a person has only one or two returns.
+// Maximum distance between a sensor and the tiles for which its frame is used. Farther
+// away, even a person has only one or two returns.
 constexpr double kMaxTileDistance_m = 40.0;
-// Frames beyond kMaxTileDistance_m are used if (distance from sensor to tile) / (smallest
-// such distance of all frames) is at most this ratio. Otherwise distant tiles would have
-// no frames.
+// Farther frames are used up to this multiple of the smallest such distance of all frames,
+// so that distant tiles have frames.
 constexpr double kHardlyFarther = 1.25;
 constexpr std::size_t kMostViews = 64;
 
@@ -45,8 +41,8 @@ double compute_elevation_rad(const glm::vec3& direction) {
     return std::asin(std::clamp(double(direction.z), -1.0, 1.0));
 }
 
-/// Returns the elevations of the rows of a scan, descending. If the rays are not ordered
-/// in rows, returns evenly spaced elevations over the field of view.
+/// Returns the elevations of the rows of a scan, descending. Without rows, returns evenly
+/// spaced elevations over the field of view.
 std::vector<double> compute_row_elevations_rad(const RayTable& rays) {
     std::vector<double> rows;
     if (rays.rows > 1) {
@@ -66,8 +62,7 @@ std::vector<double> compute_row_elevations_rad(const RayTable& rays) {
     return rows;
 }
 
-/// Returns the number of columns of the range image per turn. Each column is a little
-/// narrower than the spacing between the rays of a row.
+/// Returns the number of columns per turn, a little narrower than the spacing of the rays.
 int choose_range_image_columns(const RayTable& rays) {
     if (rays.rows <= 1 || rays.columns <= 1) return kMostColumns;
     const auto azimuth = [&](int column) {
@@ -135,8 +130,7 @@ std::vector<float> BeamGrid::compute_nearest_range_per_cell_m(const Scan& scan) 
 
 VisibilityChecker::VisibilityChecker(const LidarSequence& sequence, const std::vector<int>& positions)
     : sequence_(sequence), positions_(positions) {
-    // A LiDAR may have none of the frames in `positions`. Its grid then stays empty and
-    // is never read.
+    // The grid of a LiDAR without a frame in `positions` stays empty and is never read.
     grids_.resize(sequence.lidars.size());
     std::vector<char> has_grid(grids_.size());
     for (const int position : positions) {
@@ -180,10 +174,7 @@ void VisibilityChecker::make_range_image(VisibilityImage& view, const LidarFrame
 }
 
 void VisibilityChecker::select_frames_seeing_each_ground_tile() {
-    struct ImageDistance {
-        std::uint32_t view;
-        double distance_m;
-    };
+    using ImageDistance = std::pair<double, std::uint32_t>;  // metres, view
     std::unordered_map<std::uint64_t, std::vector<ImageDistance>> all;
     for (std::uint32_t v = 0; v < views_.size(); ++v) {
         const Lidar& lidar = sequence_.lidars[std::size_t(views_[v].lidar)];
@@ -196,25 +187,17 @@ void VisibilityChecker::select_frames_seeing_each_ground_tile() {
             for (double dy = -farthest; dy <= farthest; dy += kTile_m) {
                 const glm::dvec3 tile = compute_ground_tile_centre(sensor + glm::dvec3(dx, dy, 0.0));
                 if (const double distance = glm::distance(tile, sensor); distance < farthest)
-                    all[compute_grid_cell_key(tile, kTile_m)].push_back({v, distance});
+                    all[compute_grid_cell_key(tile, kTile_m)].push_back({distance, v});
             }
     }
     for (const auto& [key, seen] : all) {
-        const double nearest = std::min_element(seen.begin(), seen.end(),
-                                                [](const ImageDistance& first, const ImageDistance& second) {
-                                                    return first.distance_m < second.distance_m;
-                                                })
-                                   ->distance_m;
+        const double nearest = std::ranges::min_element(seen)->first;
         std::vector<std::uint32_t>& views = tiles_[key].views;
-        for (const ImageDistance& s : seen)
-            if (s.distance_m <= std::max(kMaxTileDistance_m, kHardlyFarther * nearest))
-                views.push_back(s.view);
+        for (const auto& [distance_m, view] : seen)
+            if (distance_m <= std::max(kMaxTileDistance_m, kHardlyFarther * nearest)) views.push_back(view);
         if (views.size() <= kMostViews) continue;
-        // Keeps kMostViews views that are evenly spaced in the list.
-        std::vector<std::uint32_t> selected_views;
-        for (std::size_t k = 0; k < kMostViews; ++k)
-            selected_views.push_back(views[k * views.size() / kMostViews]);
-        views = std::move(selected_views);
+        for (std::size_t k = 0; k < kMostViews; ++k) views[k] = views[k * views.size() / kMostViews];
+        views.resize(kMostViews);
     }
 }
 

@@ -1,8 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Decides what each frame observes at a point. A frame observes a return if a return lies
-// at the point. A frame observes empty space if the returns above and below lie well
-// behind the point. If frames observe empty space at a point, the point belongs to a
-// moving object (docs/method.md section 6).
+// Decides what each frame observes at a point: a return, or empty space if the returns
+// above and below lie well behind the point. Points where frames observe empty space
+// belong to moving objects (docs/method.md section 6).
 #pragma once
 
 #include <cstdint>
@@ -17,34 +16,28 @@ namespace relidar {
 enum class PointVisibility : char { unknown, occupied, empty };
 
 /// Grid of the directions of a LiDAR. Each row has the elevation of a beam, because beams
-/// can be unevenly spaced. In a grid with evenly spaced rows, some rows would contain no
-/// beam.
+/// can be unevenly spaced.
 class BeamGrid {
 public:
-    BeamGrid() = default;  ///< Makes an empty grid.
-    /// Makes the grid from the rays of a scan. Any scan of the LiDAR can be used.
-    explicit BeamGrid(const Scan& scan);
+    BeamGrid() = default;
+    explicit BeamGrid(const Scan& scan);  ///< any scan of the LiDAR
 
-    /// Cell of the grid that contains the direction of a point.
+    /// Cell that contains the direction of a point.
     struct BeamGridCell {
         int row = 0, column = 0;  ///< nearest row and column
         int row_below = 0;        ///< the point lies between this row and the row above it
-        /// true if the point lies above or below all rows; no beam can hit such a point
-        bool is_beyond = false;
+        bool is_beyond = false;   ///< above or below all rows; no beam can hit such a point
     };
     int rows() const { return static_cast<int>(row_rad_.size()); }
     int columns() const { return columns_; }  ///< columns per turn
-    /// Returns the cell of a point. Returns nothing if the point is the position of the
-    /// sensor.
+    /// Returns nothing if the point is the position of the sensor.
     /// @param point_m [3] sensor frame
     std::optional<BeamGridCell> find_grid_cell(const glm::dvec3& point_m) const;
-    /// Returns the index of a cell in an array of all cells.
     std::size_t get_cell_index(int row, int column) const {
         return std::size_t(row) * std::size_t(columns_) + std::size_t(column);
     }
-    /// Returns the range of the nearest return in each cell.
-    /// @param scan scan in the sensor's frame
-    /// @return [rows * columns] metres, 0 if a cell has no return
+    /// Returns the range of the nearest return in each cell, [rows * columns] metres, 0 if
+    /// a cell has no return.
     std::vector<float> compute_nearest_range_per_cell_m(const Scan& scan) const;
 
 private:
@@ -52,21 +45,18 @@ private:
     int columns_ = 1;
 };
 
-/// Tests whether frames of a log observe a return or empty space at a point. Compares the
-/// point with the range images of at most 64 frames, to limit the time per point. Their
-/// sensors are within 40 m of the point, or at most 1.25 times as far away as the nearest
-/// sensor. The frames are evenly spaced in time. create_range_images_for_points() creates
-/// only the images that the given points need.
+/// Compares a point with the range images of at most 64 frames, evenly spaced in time.
+/// Their sensors are within 40 m of the point, or at most 1.25 times as far away as the
+/// nearest sensor.
 class VisibilityChecker {
 public:
-    /// Divides the ground into tiles, and selects the frames that can observe each tile.
-    /// Creates no range images yet. `sequence` is not copied and must not change.
+    /// Selects the frames that can observe each tile of the ground. `sequence` is not
+    /// copied and must not change.
     /// @param positions indices of the frames to use, in `sequence.frames`
     VisibilityChecker(const LidarSequence& sequence, const std::vector<int>& positions);
 
-    /// Creates the range images that these points need. After this call, only these
-    /// points may be looked up.
-    /// @param points_m [points] vectors of 3, world
+    /// Creates the range images that these points (world) need. Only these points may be
+    /// looked up then.
     template <class Points>
     void create_range_images_for_points(const Points& points_m) {
         for (const auto& point_m : points_m) request_range_images_near_point(glm::dvec3(point_m));
@@ -74,33 +64,22 @@ public:
     }
 
     struct VisibilityVotes {
-        int n_occupied = 0;
-        int n_empty = 0;
-        /// Returns true if at least two frames observe empty space at the point. Their
-        /// number must also be at least `min_vote_ratio` times the number of frames that
-        /// have a return at the point.
+        int n_occupied = 0, n_empty = 0;
+        /// Returns true if at least two frames observe empty space, and at least
+        /// `min_vote_ratio` times the number of frames with a return at the point.
         bool is_empty_space(double min_vote_ratio) const {
             return n_empty >= 2 && double(n_empty) >= min_vote_ratio * double(n_occupied);
         }
     };
-    /// Counts the frames that have a return at a point, and the frames that observe empty
-    /// space there.
-    /// @param point_m [3] world
+    /// Counts the frames that have a return, or observe empty space, at a point (world).
     VisibilityVotes count_visibility_votes(const glm::vec3& point_m) const;
 
-    /// Returns the frames whose range images are used to test a point, in ascending
-    /// order.
-    /// @param point_m [3] world
-    /// @return indices into the `positions` that were given to the constructor
+    /// Returns the views of a point (world), ascending indices into `positions`.
     const std::vector<std::uint32_t>& find_views_near(const glm::dvec3& point_m) const;
-    /// Returns what one frame observes at a point: a return, empty space, or nothing.
-    /// Allows an error of several decimetres.
-    /// @param point_m [3] world
+    /// Returns what one frame observes at a point (world), with an error of decimetres.
     PointVisibility classify_point_in_view(std::uint32_t view_index, const glm::dvec3& point_m) const;
-    /// Returns true if a frame has a return at a point. The return must be in the
-    /// direction of the point. Its range may differ from the range of the point by at
-    /// most `tolerance_m`.
-    /// @param point_m [3] world
+    /// Returns true if a frame has a return in the direction of a point (world) whose range
+    /// differs by at most `tolerance_m`.
     bool has_return_at(std::uint32_t view_index, const glm::dvec3& point_m, double tolerance_m) const;
     double get_view_time_s(std::uint32_t view_index) const { return views_[view_index].time_s; }
 
@@ -108,15 +87,14 @@ private:
     struct VisibilityImage {
         double time_s;
         int lidar;
-        /// [azimuth sectors of the sweep] transform from world to sensor when the LiDAR
-        /// head faces the middle of the sector. Empty until make_range_image() is called.
+        /// [azimuth sectors of the sweep] when the LiDAR head faces the middle of the
+        /// sector. Empty until make_range_image() is called.
         std::vector<Pose> sensor_from_world;
-        /// [rows * columns] range of the nearest return, or 0 if a cell has no return
+        /// [rows * columns] see compute_nearest_range_per_cell_m()
         std::vector<float> range_m;
     };
-    /// Range of a point, and the ranges of the returns around it in the range image of a
-    /// frame. They are read from six cells: the rows directly above and below the point,
-    /// and three columns.
+    /// Range of a point, and the ranges of the returns in the six cells around it: the rows
+    /// directly above and below it, and three columns.
     struct NeighbourRanges {
         double range_m = 0.0;
         float returned_m[6];

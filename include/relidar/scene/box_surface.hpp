@@ -68,16 +68,10 @@ public:
     /// Returns true if the patch of a point was not observed, but its mirror patch on the
     /// other half of the box was.
     bool is_observed_only_in_mirror_image(const glm::dvec3& point_m) const;
-    /// Returns the observed fraction of a side, 0 to 1.
-    double compute_observed_area_fraction(BoxSide side) const;
-    /// Returns the observed fraction of the complete box surface, by area, 0 to 1.
-    /// compute_mirrorable_area_fraction() returns the fraction that was not observed, but
-    /// whose mirror image on the other half of the box was observed.
-    double compute_observed_area_fraction() const;
-    double compute_mirrorable_area_fraction() const;
-    /// Returns the fraction of a side that was not observed, but whose mirror image on
-    /// the other half of the box was observed.
-    double compute_mirrorable_area_fraction(BoxSide side) const;
+    /// Returns the observed fraction, by area, of a side or of the complete surface, 0 to 1.
+    double compute_observed_area_fraction(std::optional<BoxSide> side = {}) const;
+    /// Returns the fraction that was not observed, but whose mirror image was.
+    double compute_mirrorable_area_fraction(std::optional<BoxSide> side = {}) const;
 
     /// If true, unobserved patches of the model were completed: they got mirrored surfels
     /// if their mirror patches were observed.
@@ -116,24 +110,15 @@ private:
     std::array<std::array<int, 2>, kBoxSides> n_{};  ///< number of patches of a side along its two axes
     std::array<std::vector<char>, kBoxSides> observed_patches_;
 
-    /// Returns the surface patch that contains a point. Returns nothing if the point
-    /// belongs to no patch.
+    /// Returns nothing if the point belongs to no patch.
     std::optional<BoxSurfacePatch> find_patch_of_point(const glm::dvec3& point_m) const;
     /// Returns the index of a patch in the array observed_patches_[patch.side].
     std::size_t get_patch_index(const BoxSurfacePatch& patch) const;
-    BoxSurfacePatch get_mirror_patch(BoxSurfacePatch patch) const;  ///< returns the mirror patch
-    /// Returns false if the surface patch is near the ground, where patches are ignored.
+    BoxSurfacePatch get_mirror_patch(BoxSurfacePatch patch) const;
+    /// Returns false if the patch is near the ground, where patches are ignored.
     bool is_patch_above_ground_margin(const BoxSurfacePatch& patch) const;
-    bool has_observed_patch(const BoxSurfacePatch& patch) const;  ///< returns true if the patch was observed
-    /// Returns two areas of a side in m2: [0] the observed area, [1] the total area. If
-    /// `only_mirror_image_observed` is true, [0] is another area: the one that was not
-    /// observed, but whose mirror image on the other half of the box was observed.
-    std::array<double, 2> compute_observed_and_total_area_m2(BoxSide side,
-                                                             bool only_mirror_image_observed) const;
-    /// Returns the observed fraction of the box surface, by area. If
-    /// `only_mirror_image_observed` is true, returns another fraction: the area that was
-    /// not observed, but whose mirror image on the other half of the box was observed.
-    double compute_area_fraction_of_all_sides(bool only_mirror_image_observed) const;
+    bool has_observed_patch(const BoxSurfacePatch& patch) const;
+    double compute_area_fraction(std::optional<BoxSide> only_side, bool only_mirror_image_observed) const;
 };
 
 }  // namespace relidar

@@ -1,8 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Scene of 2D Gaussians (surfels), with a model for the background and for each actor.
 // Instances place the models in the world (paper, Eq. 1, 4, 5). A scene may use 3D
-// Gaussians instead, which have a third scale. Comments about surfels also apply to 3D
-// Gaussians.
+// Gaussians instead. Comments about surfels also apply to them.
 #pragma once
 
 #include <array>
@@ -30,8 +29,7 @@ inline constexpr int kShCoefficients = 16;
 inline constexpr int kShChannels = 3;  ///< Number of SH channels: intensity, hit logit, drop logit.
 inline constexpr int kShFloats = kShChannels * kShCoefficients;
 
-/// Type of Gaussian that a scene consists of: surfels or 3D Gaussians (docs/method.md
-/// section 2).
+/// Type of Gaussian that a scene consists of (docs/method.md section 2).
 enum class PrimitiveType {
 #define RELIDAR_PRIMITIVE(number, name, label, third_scale, normals, proxy) name = number,
     RELIDAR_PRIMITIVES(RELIDAR_PRIMITIVE)  // Declares one enumerator per primitive.
@@ -69,14 +67,12 @@ constexpr const PrimitiveProperties& get_primitive_properties(PrimitiveType prim
 ///   opacity factor exp(sharpness^2 (cos 2 pi (p - phase) - 1)),
 ///   position       mean + swing sin 2 pi (p - phase)
 ///
-/// For a large sharpness, the window is a Gaussian with a standard deviation of 1 / (2 pi
-/// sharpness). If all fields are zero, the surfel is always visible and does not move.
+/// If all fields are zero, the surfel is always visible and does not move.
 struct GaitPhaseWindow {
-    /// Different surfels are visible at different phases of an actor's walking cycle.
-    /// This surfel is most opaque, and is not displaced, at this phase, 0..1.
+    /// Phase at which the surfel is most opaque and not displaced, 0..1.
     float phase = 0.0f;
-    /// How quickly the surfel fades as the walking cycle departs from `phase`. With a
-    /// larger value, the surfel is visible for a shorter time. 0 = always visible.
+    /// How quickly the surfel fades away from `phase`: the window is about a Gaussian with
+    /// a standard deviation of 1 / (2 pi sharpness). 0 = always visible.
     float sharpness = 0.0f;
     glm::vec3 swing{0.0f};  ///< Amplitude of the surfel's motion, [3] metres, model frame.
 };
@@ -103,7 +99,7 @@ struct Surfels {
     /// basis(direction) . coefficients.
     std::vector<float> sh;
     /// Standard deviations of 3D Gaussians along the third axis, [n] ln metres. Empty for
-    /// surfels, which are flat.
+    /// surfels.
     std::vector<float> log_scale_w;
     std::vector<GaitPhaseWindow> gait;  ///< Phase windows, [n] if `bends` is true, otherwise empty.
     PrimitiveType primitive = PrimitiveType::surfel;
@@ -113,9 +109,9 @@ struct Surfels {
     SurfelParameterSet get_parameter_set() const { return {primitive, bends}; }
     void resize(std::size_t count) { resize(count, get_parameter_set()); }
     void resize(std::size_t count, SurfelParameterSet parameter_set);
-    void add_motionless_gait();  ///< Adds a gait without motion to all surfels if they have no gait.
-    /// Appends surfels. An empty set adopts the primitive type of `other`. If one set has
-    /// walking motions (`gait`) and the other does not, sets the missing ones to zero.
+    void add_motionless_gait();  ///< Adds a gait without motion to all surfels if they have none.
+    /// Appends surfels. An empty set adopts the primitive type of `other`. If only one set
+    /// has a gait, the other gets one without motion.
     /// @throws DataError if the primitive types differ
     void append_surfels(const Surfels& other);
     /// Returns a reordered copy: surfel i of the result is surfel order[i] of this set.
@@ -135,11 +131,11 @@ struct SurfelModel {
     std::string name;  ///< Name of the model: "background" or the track id.
     std::uint32_t first = 0;
     std::uint32_t count = 0;
-    /// Half size of the box that contains the model's surfels, metres. The box is centred
-    /// at the origin. 0 = the model has no box.
+    /// Half size of the box around the model's surfels, centred at the origin, metres. 0 =
+    /// the model has no box.
     glm::vec3 half_size_m{0.0f};
-    /// Metres after which an actor repeats its recorded walk. Includes a gap (about three
-    /// frames of walking), so that end and start do not overlap. 0 = rigid model.
+    /// Metres after which an actor repeats its recorded walk, including a gap of about
+    /// three frames between end and start. 0 = rigid model.
     float stride_m = 0.0f;
     std::optional<ObservedBoxSurface> surface = {};  ///< observed parts of the box; empty: unknown
 };
@@ -153,13 +149,11 @@ struct ModelInstance {
 /// Part of the background that was trained on one section of a road. Its surfels are
 /// loaded from a file when a sensor is near.
 struct SceneBlock {
-    /// Model file whose first model holds the surfels of the block.
-    std::filesystem::path file;
+    std::filesystem::path file;  ///< Model file whose first model holds the surfels of the block.
     std::uint32_t count = 0;  ///< Number of surfels in the block.
-    /// Corners of the bounding box of the surfels, [3] metres, world frame. The box
-    /// includes three standard deviations of each surfel.
-    glm::vec3 low_m{0.0f};
-    glm::vec3 high_m{0.0f};
+    /// Corners of the box around the surfels and three of their standard deviations, [3]
+    /// metres, world frame.
+    glm::vec3 low_m{0.0f}, high_m{0.0f};
 
     /// Returns the distance from a point in the world frame to the box; 0 in the box.
     double compute_distance_to_box_m(const glm::dvec3& point_m) const {
@@ -176,37 +170,37 @@ struct Scene {
     /// Probabilities that the log's LiDARs drop a ray regardless of the scene, one row
     /// per beam (LidarSequence::find_global_beam_number). Empty if not estimated.
     RayDropTable sensor_drop;
-    /// Parts of the background that are stored in files. `surfels` does not contain them.
-    /// Empty if `surfels` contains the complete background.
+    /// Parts of the background that are stored in files and not in `surfels`.
     std::vector<SceneBlock> blocks = {};
 };
 
-/// Returns the number of surfels of a scene, including background blocks that are still
-/// in files.
+/// Returns the number of surfels of a scene, including blocks that are still in files.
 std::size_t count_surfels(const Scene& scene);
 
-/// Scene together with its log. The log has the tracks (poses over time) that move the
-/// actors: ModelInstance::track is a track id. The scans of the log are not used.
+/// Scene together with its log, whose tracks move the actors (ModelInstance::track). The
+/// scans of the log are not used.
 struct SceneWithLog {
     Scene scene;
     LidarSequence sequence;
 };
 
+/// @throws DataError unless the models are consecutive ranges that contain all surfels, in
+/// order, and all instances have one of the models
+void require_valid_scene_layout(const Scene& scene);
 /// Returns a scene that has only a background model and its instance.
 Scene make_background_scene(Surfels surfels);
-/// Returns a copy of the scene with another background, which replaces the old background
-/// and all blocks. The new surfels are sorted in kd-tree order.
+/// Returns a copy of the scene in which another background, sorted in kd-tree order,
+/// replaces the background and all blocks.
 Scene copy_scene_with_new_background(const Scene& scene, const Surfels& background);
 /// Copies a model and its surfels from another scene to the end of this scene.
 /// @return index of the new model
 std::uint32_t append_model(Scene& scene, const Scene& source_scene, std::uint32_t model_index);
-/// Returns the same scene with a separate model for every instance. If n instances share
-/// a model, its surfels are copied n - 1 times.
+/// Returns the same scene with a separate model for every instance.
 Scene duplicate_shared_models(Scene scene);
 /// Selects instances by name: "background", "actors" (all except the background), or a
 /// track id.
 /// @return [instances] true for each selected instance
-/// @throws UsageError for an unknown name. The message suggests the most similar name.
+/// @throws UsageError for an unknown name
 std::vector<bool> mark_instances_with_names(const Scene& scene,
                                             const std::vector<std::string>& instance_names);
 
@@ -219,20 +213,18 @@ struct ImageFormationModel {
     float near_m = 0.2f;              ///< Minimum range at which a ray can hit a surfel, metres.
     float alpha_min = 1.0f / 255.0f;  ///< Minimum alpha of a hit. Hits with a smaller alpha are skipped.
     float alpha_max = 0.99f;          ///< Upper bound of alpha. The gradient is zero if alpha is clamped.
-    /// Minimum transmittance of a ray. The ray ends before the surfel that would reduce
-    /// its transmittance below this value.
+    /// A ray ends before the surfel that would reduce its transmittance below this value.
     float transmittance_min = 1e-4f;
     int sh_degree = 3;  ///< Active SH degree, 0..3.
     ShDirection sh_direction = ShDirection::ray;
-    /// The drop probability is a softmax of hit and drop logits (docs/method.md M6). If
-    /// true, hit logits stay 0 (ablation), so only the drop logits matter.
+    /// If true, hit logits stay 0 (ablation), so that the drop probability, a softmax of
+    /// hit and drop logits (docs/method.md M6), depends on the drop logits only.
     bool single_drop_logit = false;
     PrimitiveType primitive = PrimitiveType::surfel;  ///< Primitive of the scene (ablation).
     bool operator==(const ImageFormationModel&) const = default;
 };
 
-/// Kind of a labelled object. Datasets have different class names, but relidar uses the
-/// same kinds for all datasets.
+/// Kind of a labelled object, the same for all datasets.
 enum class ObjectKind {
     vehicle,  ///< Vehicle on more than two wheels or on rails, or a trailer.
     cyclist,  ///< Two-wheeler with or without a rider, or a rider.
@@ -252,21 +244,18 @@ enum class UnlabelledMoverPolicy { background, removed, actors };
 
 /// Options for creating the initial scene from a log.
 struct SceneInitialisationOptions {
-    /// Edge length of voxels, metres. The points of all training frames in a voxel are
-    /// averaged.
+    /// Edge length of voxels in which points of all training frames are averaged, metres.
     double voxel_m = 0.15;
     /// Minimum edge length of a voxel, divided by its distance from the nearest sensor
-    /// position. Distant voxels are therefore larger. 0 = all have `voxel_m`.
+    /// position. 0 = all have `voxel_m`.
     double voxel_growth = 0.0;
-    /// If true, surfel normals are estimated from the nearest neighbours. If false,
-    /// orientations are random (ablation).
+    /// If true, normals are estimated from neighbours. If false, they are random (ablation).
     bool normals = true;
     int normal_neighbours = 6;
-    /// Flatness threshold. A point lies on a surface if the variance of its neighbours
-    /// across the surface is less than this fraction of the smaller variance within the
-    /// surface. Surfels on a surface are moved onto the plane of their neighbours. Other
-    /// surfels (leaves, wires, corners) face the sensor. With 1, all surfels keep the
-    /// position and normal of their points (paper).
+    /// A point lies on a surface if the variance of its neighbours across the surface is
+    /// less than this fraction of the smaller variance within the surface. Surfels on a
+    /// surface are moved onto it. Other surfels (leaves, wires, corners) face the sensor.
+    /// With 1, all surfels keep the position and normal of their points (paper).
     double flatness = 1.0;
     double opacity = 0.1;
     /// Initial hit logit minus initial drop logit of a surfel. Their mean is 0.5. The
@@ -275,8 +264,7 @@ struct SceneInitialisationOptions {
     /// If true, surfels start with hit logit 0 and drop logit -hit_margin. Training sets
     /// this if it keeps all hit logits at 0 (ImageFormationModel::single_drop_logit).
     bool one_logit = false;
-    /// Upper bound of the initial standard deviations, metres. Surfels that are stretched
-    /// over gaps between scan lines (max_gap_m) may be larger.
+    /// Upper bound of the initial standard deviations, metres, except over gaps (max_gap_m).
     double max_scale_m = 1000.0;
     /// Initial standard deviation divided by the mean distance to the 3 nearest points.
     double scale_factor = 1.0;
@@ -290,24 +278,21 @@ struct SceneInitialisationOptions {
     /// Treatment of moving objects without a label. The default is that of the paper.
     UnlabelledMoverPolicy unlabelled_movers = UnlabelledMoverPolicy::background;
     /// Moving boxes that become actors: comma-separated class names or kinds
-    /// (parse_object_kind()). all = every class. Empty = none.
+    /// (parse_object_kind()), all, or empty for none.
     std::string actor_classes = "all";
     /// If true, moving boxes that do not become actors are excluded from training. If
-    /// false, they are trained as a part of the background, as in the paper.
+    /// false, they are trained as background (paper).
     bool mask_others = true;
-    /// Comma-separated track ids that become actors, regardless of class and motion.
-    /// Empty = select actors by class.
+    /// Comma-separated track ids that become actors, regardless of class and motion. Empty
+    /// = select actors by class.
     std::string actor_tracks;
     /// Actors whose shape changes, as comma-separated class names or kinds. Empty = none.
     std::string deform = "person,cyclist";
-    /// Maximum number of surfels per actor. For an actor whose shape changes, the maximum
-    /// is at least 200 surfels per frame.
+    /// Maximum number of surfels per actor, or 200 per frame if its shape changes.
     int actor_points = 8000;
-    /// Minimum number of surfels per actor. Actors with fewer surfels get random points
-    /// in their box. 0 = off (paper: 8000).
+    /// Actors with fewer surfels get random points in their box. 0 = off (paper: 8000).
     int actor_pad_to = 0;
-    /// Minimum number of points that a box needs to become an actor. Boxes with fewer
-    /// points are excluded from training.
+    /// Boxes with fewer points do not become actors and are excluded from training.
     int actor_min_points = 20;
     /// Seed for random orientations and points. Training uses train.seed instead.
     std::uint64_t seed = 1;
@@ -318,25 +303,22 @@ struct SceneInitialisationOptions {
 struct InstancePose {
     Pose world_from_model;
     bool present = true;
-    /// Time at which the instance's track has the pose world_from_model.
-    double time_s = 0.0;
+    double time_s = 0.0;  ///< Time at which the instance's track has the pose world_from_model.
     double phase = 0.0;   ///< Phase of the model's motion, which repeats after 1.
     PoseMotion motion{};  ///< Motion during the sweep, relative to world_from_model.
 };
 
 /// Finds moving objects without a label. Selects the returns of training frames within 40
-/// m that lie where rays of other frames pass through. Groups these returns, links the
-/// groups over time and fits upright boxes of constant size, with x along a smooth path.
-/// Keeps a box if it is seen in 6 frames, moves 0.6 m and 0.9 of its size, and is not
-/// part of the sensor's vehicle. If only one side was seen, the box size is a guess
-/// (BoxTrack::size_guess).
+/// m that lie where rays of other frames pass through, links groups of them over time and
+/// fits upright boxes of constant size, with x along a smooth path. Keeps a box if it is
+/// seen in 6 frames, moves 0.6 m and 0.9 of its size, and is not part of the sensor's
+/// vehicle. If only one side was seen, the box size is a guess (BoxTrack::size_guess).
 ///
-/// If a moving object has a label for part of the time, the box keeps the id, class and
-/// size of the label. The box gets additional poses before and after the labels
-/// (n_before, n_after) and replaces the labelled box. Other boxes are named mover-0,
-/// mover-1, ... All processes of a group get the same result. Each LiDAR is processed
-/// separately. If several LiDARs saw an object, the first track is kept. A later track
-/// replaces it only if it is more than 1.5 times as long.
+/// An object with a label for part of the time keeps the id, class and size of the label,
+/// gets poses before and after the labels (n_before, n_after), and replaces the labelled
+/// box. Other boxes are named mover-0, mover-1, ... All processes of a group get the same
+/// result. If several LiDARs saw an object, the first track is kept unless a later one is
+/// more than 1.5 times as long.
 std::vector<BoxTrack> discover_moving_object_tracks(const LidarSequence& sequence,
                                                     const std::vector<int>& train_frame_indices,
                                                     const ProgressReporter& progress = {},
@@ -350,17 +332,15 @@ std::vector<BoxTrack> list_foreground_boxes(const LidarSequence& sequence,
                                             const SceneInitialisationOptions& options);
 
 /// Creates the background surfels from the training frames of a log, in the recentred
-/// world frame. The surfels are sorted by recursive median splits along the longest axis
-/// (kd-tree order), because software BVH builders without sorting need this order.
+/// world frame and in kd-tree order, which software BVH builders without sorting need.
 /// @throws DataError if no training frame has a usable point
 Surfels initialise_background(const LidarSequence& sequence, const std::vector<int>& train_frame_indices,
                               const SceneInitialisationOptions& options,
                               const ProgressReporter& progress = {});
 
 /// Creates the background, and one model and instance per actor, in the frame of the
-/// actor's box (Eq. 4-5). Actors are moving boxes of the selected classes, or the
-/// selected tracks. A point in two boxes belongs to both models. Uses only points of
-/// training frames.
+/// actor's box (Eq. 4-5). Actors are moving boxes of the selected classes, or the selected
+/// tracks. A point in two boxes belongs to both models.
 /// @param notes output: for each actor of SceneInitialisationOptions::deform, whether its
 /// shape changes, or the reason why it is rigid
 /// @throws DataError if no training frame has a usable point
@@ -368,13 +348,11 @@ Scene initialise_scene(const LidarSequence& sequence, const std::vector<int>& tr
                        const SceneInitialisationOptions& options, const ProgressReporter& progress = {},
                        std::vector<std::string>* notes = nullptr);
 
-/// Returns the boxes that were removed from the background and have no model in the
-/// scene. Their class is not selected, or they have too few points. Training ignores rays
-/// through these boxes, and renderings lack their returns.
+/// Returns the boxes that were removed from the background and have no model in the scene,
+/// because of their class or their few points. Renderings lack their returns.
 std::vector<BoxTrack> find_boxes_without_model(const Scene& scene, const LidarSequence& sequence,
                                                const SceneInitialisationOptions& options);
-/// Returns the moving boxes that are removed from the background and not selected as
-/// actors. Does not need a trained scene.
+/// Returns the moving boxes that are neither background nor selected as actors.
 std::vector<BoxTrack> find_moving_boxes_not_selected_as_actors(const LidarSequence& sequence,
                                                                const SceneInitialisationOptions& options);
 /// Returns a list of track ids and classes, at most eight: "3 (Pedestrian), 7 (Tram)".
@@ -388,14 +366,13 @@ std::vector<InstancePose> compute_instance_poses(const Scene& scene, const Lidar
 /// Tracks of actors by name. Poses are box centres in relidar's world frame, interpolated
 /// over time. Actors without an entry are absent.
 using ActorTracksByName = std::map<std::string, PoseTrack>;
-/// Computes poses and motions of all instances during a sweep, from actor tracks of the
-/// caller. The pose and motion of the sensor come from the sequence.
-/// @throws UsageError if a name is unknown; the message suggests the most similar name
+/// The same with actor tracks of the caller.
+/// @throws UsageError if a name is unknown
 std::vector<InstancePose> compute_instance_poses(const Scene& scene, const LidarSequence& sequence,
                                                  const SweepTiming& sweep,
                                                  const ActorTracksByName& world_from_actor);
-/// Returns the surfels of all instances at one time, in the world frame. Actors have
-/// their poses and walking motions of that time. Absent actors are left out.
+/// Returns the surfels of all present instances at one time, with their poses and walking
+/// motions, in the world frame.
 /// @param instance_poses [instances] pose of each instance
 /// @throws DataError if the number of poses is wrong
 Surfels transform_all_surfels_to_world(const Scene& scene, const std::vector<InstancePose>& instance_poses);
@@ -405,13 +382,12 @@ Surfels transform_all_surfels_to_world(const Scene& scene, const std::vector<Ins
 /// @return [n] permutation: position i of the sorted array holds point order[i]
 std::vector<std::uint32_t> compute_kd_tree_order(const std::vector<glm::vec3>& points);
 
-/// Returns the extent of a model in metres. Some settings are relative to this length.
-/// For an actor: 4 times the diagonal of its box. For any other model: 3 times the 90th
-/// percentile of 2 |p - centre| over its surfels. Without surfels: 1.
+/// Returns the extent of a model in metres, to which some settings are relative. Actors: 4
+/// times the diagonal of the box. Other models: 3 times the 90th percentile of 2 |p -
+/// centre| over the surfels. Without surfels: 1.
 double compute_robust_model_extent_m(const Scene& scene, std::size_t model_index);
-/// Returns the extent of an actor's model in metres: 4 times the diagonal of its box.
 double compute_actor_model_extent_m(const glm::vec3& half_size_m);
-/// Same as compute_robust_model_extent_m() of the background.
+/// The extent of the background.
 double compute_robust_background_extent_m(const Scene& scene);
 
 /// Returns a copy of a scene that has everything but the surfels.

@@ -30,33 +30,34 @@ TEST(RangeNoise, ComesBackFromASmoothStreet) {
     }
     EXPECT_EQ(noise.get_range_noise_sigma_m(500.0, 1.0), noise.get_range_noise_sigma_m(79.0, 1.0))
         << "the last bin goes on";
+}
 
-    TEST(RangeNoise, EachLidarHasItsOwn) {
-        const auto street_of = [](double noise_m) {
-            return make_synthetic_street(
-                {.n_frames = 8, .rows = 32, .columns = 512, .range_noise_m = noise_m, .moving_cars = false});
-        };
-        LidarSequence both = street_of(0.005);
-        both.lidars.push_back(both.lidars[0]);
-        both.lidars.push_back(both.lidars[0]);  // a LiDAR without sweeps
-        for (LidarFrame& frame : street_of(0.03).frames) {
-            frame.lidar = 1;
-            both.frames.push_back(std::move(frame));
-        }
-        std::vector<int> all;
-        for (std::size_t i = 0; i < both.frames.size(); ++i) all.push_back(static_cast<int>(i));
-        ASSERT_GT(measure_and_set_range_noise(both, all), 10000u);
-        EXPECT_NEAR(both.lidars[0].range_noise.get_range_noise_sigma_m(8.0, 1.0), 0.005, 0.0005);
-        EXPECT_NEAR(both.lidars[1].range_noise.get_range_noise_sigma_m(8.0, 1.0), 0.03, 0.003);
-        EXPECT_TRUE(both.lidars[2].range_noise.sigma_m.empty());
+TEST(RangeNoise, EachLidarHasItsOwn) {
+    const auto street_of = [](double noise_m) {
+        return make_synthetic_street(
+            {.n_frames = 8, .rows = 32, .columns = 512, .range_noise_m = noise_m, .moving_cars = false});
+    };
+    LidarSequence both = street_of(0.005);
+    both.lidars.push_back(both.lidars[0]);
+    both.lidars.push_back(both.lidars[0]);  // a LiDAR without sweeps
+    for (LidarFrame& frame : street_of(0.03).frames) {
+        frame.lidar = 1;
+        both.frames.push_back(std::move(frame));
     }
+    std::vector<int> all;
+    for (std::size_t i = 0; i < both.frames.size(); ++i) all.push_back(static_cast<int>(i));
+    ASSERT_GT(measure_and_set_range_noise(both, all), 10000u);
+    EXPECT_NEAR(both.lidars[0].range_noise.get_range_noise_sigma_m(8.0, 1.0), 0.005, 0.0005);
+    EXPECT_NEAR(both.lidars[1].range_noise.get_range_noise_sigma_m(8.0, 1.0), 0.03, 0.003);
+    EXPECT_TRUE(both.lidars[2].range_noise.sigma_m.empty());
+}
 
-    TEST(RangeNoise, NothingSeenMeasuresNothing) {
-        LidarSequence street = make_synthetic_street({.n_frames = 2, .rows = 4, .columns = 16});
-        EXPECT_EQ(measure_and_set_range_noise(street, {}), 0u);
-        EXPECT_TRUE(street.lidars[0].range_noise.sigma_m.empty());
-        EXPECT_EQ(street.lidars[0].range_noise.get_range_noise_sigma_m(10.0, 1.0), 0.0);
-    }
+TEST(RangeNoise, NothingSeenMeasuresNothing) {
+    LidarSequence street = make_synthetic_street({.n_frames = 2, .rows = 4, .columns = 16});
+    EXPECT_EQ(measure_and_set_range_noise(street, {}), 0u);
+    EXPECT_TRUE(street.lidars[0].range_noise.sigma_m.empty());
+    EXPECT_EQ(street.lidars[0].range_noise.get_range_noise_sigma_m(10.0, 1.0), 0.0);
+}
 
 }  // namespace
 }  // namespace relidar
