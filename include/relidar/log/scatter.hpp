@@ -1,9 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Statistical model of the difference between measured and rendered intensities. The
-// difference comes from noise along a beam, from differences between beams, and from
-// quantisation. The model is a decision tree. Its inputs are the rendered values around a
-// ray and the intensities that were already drawn. Each leaf holds the intensities that
-// were measured for similar inputs. (Not in the paper.)
+// Statistical model of the difference between measured and rendered intensities, which
+// comes from noise along a beam, differences between beams, and quantisation. The inputs of
+// a decision tree are the rendered values around a ray and the intensities that were
+// already drawn. Each leaf holds measured intensities. (Not in the paper.)
 #pragma once
 
 #include <cstddef>
@@ -18,15 +17,12 @@ namespace relidar {
 struct RenderedIntensityImage {
     int rows = 0, columns = 0;
     std::vector<float> intensity;
-    /// Median range of the ray in metres (RenderedScan::median_range_m). 0 if the ray hit
-    /// nothing.
+    /// Median range of the ray in metres (RenderedScan::median_range_m). 0: no hit.
     std::vector<float> range_m;
-    std::vector<float> spread_m;  ///< result of compute_range_spread()
-    /// Cosine of the angle between ray and surface normal. Negative if unknown.
-    std::vector<float> cosine;
+    std::vector<float> spread_m;       ///< result of compute_range_spread()
+    std::vector<float> cosine;         ///< of the angle of incidence; negative if unknown
     std::vector<float> elevation_rad;  ///< Elevation of the ray. It identifies the beam.
-    /// True if the image covers a full turn. First and last column are then neighbours.
-    bool circular = true;
+    bool circular = true;              ///< True if the image covers a full turn.
 };
 
 /// Value in an array of intensities that marks a ray without a return.
@@ -38,27 +34,21 @@ struct PairedIntensities {
     std::vector<float> measured;  ///< [rows*columns] kNoIntensity for rays without a return
 };
 
-/// Model of the random scatter of a LiDAR's intensities: a decision tree whose leaves
-/// hold measured intensities.
+/// A decision tree whose leaves hold measured intensities.
 struct IntensityScatterModel {
-    /// Node of the decision tree. Its range of entries in `values` holds the measured
-    /// intensities that belong to the node. The range of an inner node contains the
-    /// ranges of its children.
+    /// The range of entries in `values` holds the measured intensities of a node, including
+    /// those of its children.
     struct DecisionTreeNode {
-        /// Index of the feature that is compared with the threshold `at`. Features are
-        /// numbered from 0 to count_intensity_features() - 1. The value is -1 for a leaf.
+        /// Feature that is compared with `at`, below count_intensity_features(). -1: leaf
         std::int32_t feature = -1;
-        /// Threshold. The search continues with the first child if the feature is at most
-        /// this value, otherwise with the second child.
+        /// The search continues with the first child if the feature is at most this value.
         float at = 0.0f;
         std::int32_t child = 0;  ///< Index of the first child. The second child has the next index.
         std::uint32_t first = 0, count = 0;  ///< range of entries in `values`
     };
-    /// Nodes of the tree. The first node is the root. Empty if there is no model.
-    std::vector<DecisionTreeNode> nodes;
-    std::vector<float> values;  ///< measured intensities, leaf by leaf
-    /// Quantisation step of the sensor: all intensities of the log are multiples of this
-    /// step. 0 if the intensities are not quantised.
+    std::vector<DecisionTreeNode> nodes;  ///< The first is the root. Empty: no model.
+    std::vector<float> values;            ///< measured intensities, leaf by leaf
+    /// All intensities of the log are multiples of this step. 0: they are not quantised.
     double step = 0.0;
 
     bool empty() const { return nodes.empty(); }
@@ -66,7 +56,7 @@ struct IntensityScatterModel {
     float quantise_intensity(float intensity) const;
 };
 
-/// Returns how many features of a ray, for example its range, the decision tree can use.
+/// Returns the number of features of a ray.
 std::size_t count_intensity_features();
 
 /// Returns the quantisation step of intensities: the largest number of which all values

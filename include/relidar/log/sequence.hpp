@@ -15,8 +15,8 @@
 
 namespace relidar {
 
-/// Position of a time in a track, between the entries `left` and `left + 1`. `s` is below
-/// 0 before the first entry, and above 1 after the last entry.
+/// Position of a time in a track, between the entries `left` and `left + 1`. `s` is the
+/// fraction of the way; below 0 before the first entry, above 1 after the last.
 struct TrackInterpolation {
     std::size_t left = 0;
     double s = 0.0;  ///< 0 if the track has only one entry
@@ -31,10 +31,11 @@ struct PoseTrack {
         time_s.push_back(at_s);
         pose.push_back(pose_at_s);
     }
-    /// Interpolates with slerp and lerp. Outside the track, the pose is extrapolated with
-    /// the velocity of the nearest segment.
+    /// Returns the interpolated pose at a time (slerp for rotations, lerp for
+    /// translations). Outside the track, extrapolates with the velocity at its end.
     /// @throws DataError if the track is empty
     Pose interpolate_pose(double t_s) const;
+    /// Returns the pose at `t_s` of an object that is mounted on the object of this track.
     /// Same as compute_mounted_track() followed by interpolate_pose().
     Pose interpolate_mounted_pose(double t_s, const Pose& carrier_from_mounted) const;
     /// @throws DataError if the track is empty
@@ -44,7 +45,7 @@ struct PoseTrack {
     }
 };
 
-/// All second returns of a scan. Another object holds all third returns, and so on.
+/// All second returns of a scan, or all third returns, and so on.
 struct AdditionalReturns {
     std::vector<float> range_m;    ///< [n] range along the ray from its origin; 0 = no such return
     std::vector<float> intensity;  ///< [n] 0..1; 0 if there is no such return
@@ -92,12 +93,11 @@ struct LidarFrame {
     int lidar = 0;  ///< index into LidarSequence::lidars
     /// Azimuth and time at the start of the sweep; empty if both have default values
     std::optional<SweepStart> start = {};
-    /// [columns] difference between the measured and the nominal azimuth of the head at
-    /// each firing, in radians. Empty if there is none. load_sequence() sets it.
+    /// [columns] radians, measured minus nominal azimuth of the head at each firing. Empty
+    /// if there is none. load_sequence() sets it.
     std::vector<float> azimuth_shift_rad = {};
 };
 
-/// Returns a copy of a frame without its scan.
 inline LidarFrame copy_frame_without_scan(const LidarFrame& frame) {
     return {frame.index, frame.time_s, {}, frame.lidar, frame.start, frame.azimuth_shift_rad};
 }
@@ -108,13 +108,12 @@ struct SweepTiming {
     int lidar = 0;        ///< index into LidarSequence::lidars
     std::optional<SweepStart> start = {};
 };
-/// Returns the recorded timing of a frame.
 inline SweepTiming get_sweep_timing_of_frame(const LidarFrame& frame) {
     return {frame.time_s, frame.lidar, frame.start};
 }
 struct Lidar;
-/// Returns the start of a sweep of any LiDAR. Returns nothing if it is the default (half
-/// a period before the reference time) or unknown (no scan pattern, or equal ray times).
+/// Returns the start of a sweep of any LiDAR, or nothing if it is the default (half a
+/// period before the reference time) or unknown (no scan pattern, or equal ray times).
 std::optional<SweepStart> find_sweep_start(const RayTable& rays, const Lidar& lidar);
 
 /// Standard deviation of measured ranges, as a table over range and incidence angle.
@@ -124,21 +123,20 @@ struct RangeNoiseTable {
     /// [ranges*cosines] standard deviations along the ray, a row for each range
     std::vector<double> sigma_m;
 
-    /// Uses the bin that contains both values, or the nearest bin. Returns 0 if unknown.
+    /// Returns the standard deviation of the range noise in the bin of these values, or in
+    /// the nearest bin; 0 if the noise is unknown.
     double get_range_noise_sigma_m(double measured_range_m, double incidence_cosine) const;
 };
 
 /// A LiDAR of a log.
 struct Lidar {
     std::string name;  ///< Name in the dataset. Empty if the log has only one LiDAR.
-    /// Nominal sensor. Frames without a scan get the rays of this sensor. For a LiDAR
-    /// that does not spin, this sensor has no beams and period 0.
+    /// Nominal sensor, whose rays frames without a scan get. For a LiDAR that does not
+    /// spin, it has no beams and period 0.
     SpinningSensor sensor;
-    /// Pose of the sensor in the vehicle frame. If the log has a single LiDAR, the pose
-    /// is the identity, because the vehicle frame is then the sensor frame.
+    /// Pose of the sensor in the vehicle frame; the identity if the log has one LiDAR.
     Pose vehicle_from_sensor;
-    /// Nominal scan pattern of a LiDAR that does not spin. Empty for a spinning LiDAR,
-    /// and if the pattern is unknown.
+    /// Nominal scan pattern of a LiDAR that does not spin. Empty otherwise or if unknown.
     std::optional<SensorPattern> pattern = {};
     RangeNoiseTable range_noise = {};  ///< range noise; empty unless it was measured
 
@@ -146,23 +144,20 @@ struct Lidar {
     double get_sweep_period_s() const { return pattern ? get_scan_period_s(*pattern) : sensor.period_s; }
 };
 
-/// Sets the nominal sensor of a LiDAR.
 void set_nominal_sensor(Lidar& lidar, const SensorModel& sensor);
-/// Returns the nominal sensor, from its beams or its scan pattern. Without both, the
-/// sensor has no beams.
+/// Returns the nominal (ideal) sensor of a LiDAR. It has no beams if it is unknown.
 SensorModel get_nominal_sensor(const Lidar& lidar);
 
-/// Returns the rays that a LiDAR nominally fires at a time. Returns no rays if neither
-/// its beams nor its scan pattern are known.
+/// Returns the rays that a LiDAR nominally fires at a time; none if its sensor is unknown.
 RayTable make_nominal_rays(const Lidar& lidar, double time_s);
 
 /// Measures the difference between the actual and the nominal azimuth of a spinning head,
-/// at each firing of a sweep. Positive is to the left. The value is the median over the
-/// returned rays of the firing; firings with less than three are interpolated.
+/// at each firing of a sweep, positive to the left. The value is the median over all
+/// returned rays of the firing, so it does not reveal which rays were dropped. Firings with
+/// less than three returns are interpolated.
 /// @param nominal_rays  make_nominal_rays() of the LiDAR
 /// @return [columns] radians, by firing (compute_beam_azimuth_offset_columns()). Empty if
-/// the rays are not in nominal order, if the beams do not rotate together, or without any
-/// deviation.
+/// the rays are not in nominal order, the beams do not rotate together, or none deviates.
 std::vector<float> measure_azimuth_shifts_rad(const Scan& scan, const SpinningSensor& sensor,
                                               const RayTable& nominal_rays);
 /// Rotates the nominal rays of each firing about the z axis to the measured azimuth.
@@ -170,58 +165,54 @@ std::vector<float> measure_azimuth_shifts_rad(const Scan& scan, const SpinningSe
 RayTable rotate_firings_by_azimuth_shifts(RayTable nominal_rays, const SpinningSensor& sensor,
                                           const std::vector<float>& azimuth_shifts_rad);
 
-/// Category of moving objects that the dataset did not label and that discover_tracks()
-/// found in the scans (relidar/scene/scene.hpp).
+/// Category of moving objects without a label that discover_tracks() found in the scans.
 inline constexpr const char* kDiscoveredCategory = "Discovered";
-/// Margin by which boxes of moving objects are enlarged before their points are removed,
-/// because labelled boxes do not fit exactly.
+/// Margin around boxes of moving objects, because labelled boxes do not fit exactly.
 inline constexpr double kMoverMargin_m = 0.2;
 
-/// A tracked box. Box frame: x along the length, y along the width, z up, origin centred.
+/// A tracked box. Box frame: origin at the centre, x along the length, y along the width,
+/// z up.
 struct BoxTrack {
     std::string id;          ///< unique in the sequence
     std::string category;    ///< class name in the dataset, or kDiscoveredCategory
     glm::dvec3 size_m{0.0};  ///< length, width, height
-    /// Poses at the times of the frames in which the box was labelled or discovered.
     PoseTrack world_from_box;
-    /// Kind of object, for example a car. Set if the box has no label and scans show only
-    /// one side of the object, so that the box got the typical size of this kind.
+    /// Kind of object, for example a car, if the box has no label and its size is the
+    /// typical size of this kind, because scans show only one side.
     std::string size_guess = {};
     /// Numbers of poses that discover_tracks() added before and after the labels.
     std::size_t n_before = 0, n_after = 0;
 
-    /// Returns true if the object moves, as far as its labels and poses can show this.
-    /// Labels jitter, so positions are averaged over one second, or over half of a
-    /// shorter track. The poses of a log drift while a parked car is visible. Therefore
-    /// an object moves only in one of these cases:
+    /// Returns true if the object moves, as far as its poses can show this. Positions are
+    /// averaged over one second or half of a shorter track, because labels jitter and the
+    /// poses of a log drift. An object moves only in one of these cases:
     /// - An average position is farther from the first average than 2 m, or than half the
     ///   longer side of the box but at least 0.2 m.
     /// - Between two successive averages the object moves faster than 0.5 m/s and by more
     ///   than 0.2 m.
     bool is_moving() const;
-    /// Returns true if the box was observed at a time, with a tolerance of half the mean
-    /// time step between observations.
+    /// Returns true if the box was observed at a time, give or take half a mean time step.
     bool is_observed_at_time(double t_s) const;
     /// Returns the track without the poses before its first and after its last label.
     BoxTrack copy_track_of_labelled_poses() const;
-    /// Returns true if a point in the world frame is in the box at a time. The box is
-    /// enlarged by margin_m on all sides.
+    /// Returns true if a point in the world frame is in the box, enlarged by margin_m on
+    /// all sides, at a time.
     bool contains_point(const glm::dvec3& point_m, double t_s, double margin_m) const;
 };
 
-/// Model of the measured intensity as a function of range and angle of incidence. It is
-/// the same for all beams of a log. The factor is 1 at 10 m and perpendicular incidence.
+/// Model of the measured intensity, the same for all beams of a log. The factor is 1 at 10
+/// m and perpendicular incidence.
 ///   intensity of the mean beam = albedo * compute_intensity_factor_at_range(range)
 ///                                * compute_intensity_factor_at_incidence(cosine)
 struct IntensityResponse {
-    /// Ranges in metres, ascending, for which the table has factors. If the table is
-    /// empty, the factor is 1 at all ranges.
+    /// Ranges in metres, ascending, of the factors. Empty: the factor is 1 at all ranges.
     std::vector<double> range_m;
     std::vector<double> factor;  ///< [knots] factor, interpolated linearly
     double incidence = 0.0;      ///< dependence on incidence: 0 none, 1 Lambert's cosine law
 
     double compute_intensity_factor_at_range(
         double distance_m) const;  ///< uses the first or last factor outside the knots
+    /// `incidence_cosine`: cosine of the angle between ray and normal
     double compute_intensity_factor_at_incidence(double incidence_cosine) const {
         return 1.0 - incidence * (1.0 - incidence_cosine);
     }
@@ -261,9 +252,9 @@ struct LidarSequence {
     Notes notes;
     /// Indices of the test frames in published results on this part of the dataset.
     std::vector<int> test_frames = {};
-    /// False: the log has no poses. Before registration, all poses are the identity.
+    /// False: all poses are the identity before registration.
     bool has_poses = true;
-    /// True: rays were fired at different times, and scans are not motion-compensated.
+    /// True: the rays of a scan were fired at different times and not motion-compensated.
     bool rolling_shutter = true;
 
     const Lidar& get_lidar(const LidarFrame& frame) const { return lidars[std::size_t(frame.lidar)]; }
@@ -273,7 +264,8 @@ struct LidarSequence {
     /// Returns the poses of a LiDAR at the times of the vehicle's poses.
     PoseTrack get_world_from_sensor(int lidar_index) const;
     std::size_t count_beams_of_all_lidars() const;
-    /// Returns the number of a beam among the beams of all LiDARs, if the beam exists.
+    /// Returns the number of a beam among the beams of all LiDARs, in the order of
+    /// `lidars`, or nothing if the LiDAR does not have the beam.
     std::optional<std::uint16_t> find_global_beam_number(int lidar_index, std::uint16_t channel) const;
 };
 
@@ -288,20 +280,16 @@ LidarSequence copy_without_frames(const LidarSequence& sequence);
 int find_lidar_index_by_name(const LidarSequence& sequence, const std::string& name);
 
 /// Returns the poses of an object that is mounted on another moving object, its carrier.
-/// @param carrier_track  poses of the carrier
-/// @param carrier_from_mounted  pose of the mounted object in the frame of the carrier
 PoseTrack compute_mounted_track(PoseTrack carrier_track, const Pose& carrier_from_mounted);
-/// Returns the same motion with additional poses where the object turns. A mounted object
-/// then moves on a curve instead of straight lines between the poses.
+/// Returns the same motion with additional poses where the object turns, so that a mounted
+/// object moves on a curve.
 PoseTrack subdivide_turning_segments(const PoseTrack& track);
-/// Moves a track to a world frame with another origin: adds a vector to all positions.
-/// @param offset_m  LidarSequence::world_offset_m converts from relidar's world frame to
-/// the dataset's world frame. -world_offset_m converts back.
+/// Adds a vector to all positions. LidarSequence::world_offset_m converts from relidar's
+/// world frame to the dataset's world frame, -world_offset_m back.
 PoseTrack add_offset_to_track_positions(PoseTrack track, const glm::dvec3& offset_m);
 
-/// Replaces the poses of the vehicle. The times must stay the same. Each labelled box
-/// keeps its pose relative to the vehicle, because boxes are labelled relative to the
-/// scans.
+/// Replaces the poses of the vehicle. The times must stay the same. Boxes keep their poses
+/// relative to the vehicle.
 void set_vehicle_poses(LidarSequence& sequence, PoseTrack world_from_vehicle);
 
 /// A ray in the world frame at the time at which it was fired.
@@ -310,26 +298,25 @@ struct WorldRay {
     glm::dvec3 direction;
 };
 
-/// Converts a ray of a frame to the world frame. If the sequence has a rolling shutter,
-/// the sensor pose is interpolated at the ray's firing time.
+/// Converts a ray of a frame to the world frame, with the sensor pose at the ray's firing
+/// time if the sequence has a rolling shutter.
 /// @param time_s  reference time of the sweep
 /// @param ray  index into `rays`
 WorldRay make_world_ray(const PoseTrack& world_from_sensor, double time_s, const RayTable& rays,
                         std::size_t ray, bool rolling_shutter);
 
-/// Returns the time in a sweep at which the LiDAR faces a point. An object at this point
-/// is measured at this time. For a scanning window, it is the time of the column that
-/// contains the point. For a rosette or a table of rays, it is the middle of the scan,
-/// because a rosette covers every direction repeatedly.
+/// Returns the time in a sweep at which the LiDAR faces a point. For a scanning window, it
+/// is the time of the column that contains the point. For a rosette, which covers every
+/// direction repeatedly, or a table of rays, it is the middle of the scan. It is the
+/// `time_s` of the sweep without a rolling shutter.
 /// @param point_m [3] metres, sensor frame
-/// @return the `time_s` of the sweep if the sequence has no rolling shutter
 double compute_time_when_lidar_faces_point_s(const LidarSequence& sequence, const glm::dvec3& point_m,
                                              const SweepTiming& sweep);
 
-/// Range and intensity of the surface that a ray hit. The intensity is not corrected for
-/// the angle of incidence.
+/// Range and intensity of the surface that a ray hit, not corrected for the incidence.
 struct SurfaceReturn {
-    float range_m;    ///< without the range offset of the beam; 0 if the ray was dropped
+    /// without the range offset of the beam; 0 if the ray was dropped
+    float range_m;
     float intensity;  ///< intensity that the mean beam would measure at a distance of 10 m
 };
 /// @param ray  index of a ray of the frame
@@ -337,8 +324,8 @@ struct SurfaceReturn {
 SurfaceReturn compute_surface_return(const LidarSequence& sequence, const LidarFrame& frame, std::size_t ray,
                                      std::size_t return_index = 0);
 
-/// End point of a returned ray in the world frame, and the firing time of the ray. The
-/// beam's range offset and intensity response are removed.
+/// End point of a returned ray in the world frame, and the firing time of the ray, without
+/// range offset and intensity response of the beam.
 struct WorldReturn {
     glm::dvec3 point_m;
     glm::dvec3 direction;
@@ -350,21 +337,19 @@ struct WorldReturn {
 WorldReturn compute_world_return(const LidarSequence& sequence, const LidarFrame& frame, std::size_t ray,
                                  std::size_t return_index = 0);
 
-/// Returns true if a point in the world frame is in any moving box at time t_s. Boxes are
-/// interpolated in time and enlarged by margin_m. A box exists from its first to its last
-/// observation, plus half a time step on either side.
+/// Returns true if a point in the world frame is in any moving box at time t_s. The boxes
+/// are interpolated, enlarged by margin_m, and exist as in BoxTrack::is_observed_at_time().
 bool is_in_moving_box(const std::vector<BoxTrack>& boxes, const glm::dvec3& point_m, double t_s,
                       double margin_m);
 
-/// Result of fit_and_set_range_offset_of_beams(): distances of the points from common
-/// planes, before and after the calibration of the beams.
+/// Distances of the points from common planes, before and after the calibration.
 struct RangeCalibrationResult {
     std::size_t returns = 0;  ///< number of returns that were compared
     double rms_before = 0.0;  ///< Root mean square distance of points from their plane, in metres.
     double rms_after = 0.0;   ///< The same distance (RMS) after adding an offset for each beam.
     bool adopted = false;     ///< True if the offsets were stored in the beams.
 };
-/// Result of fit_and_set_intensity_calibration(): errors before and after it.
+/// Errors before and after the calibration of intensities.
 struct IntensityCalibrationResult {
     std::size_t returns = 0;  ///< number of returns that were compared
     /// RMS difference between intensities and their mean at the same point of a surface.
@@ -373,29 +358,23 @@ struct IntensityCalibrationResult {
     bool shared = false;     ///< True if the log now has an IntensityResponse.
     bool beams = false;      ///< True if the beams now have gains and offsets.
 };
-/// Estimates two models of the intensity by least squares. The first is the dependence on
-/// range and incidence (LidarSequence::intensity_response). The second is the gain and
-/// offset of each beam (Beam). Both models are fitted to returns that hit the same 0.1 m
-/// of a surface. A model, or both models together, is adopted only if it reduces the
-/// error by a further 5 %. Therefore beams with equal responses get no gains, and
-/// intensities that the sensor has already compensated get no response. The mean beam has
-/// gain 1 and offset 0. A beam that shares no surface point with other beams also gets
-/// these values. (Not in the paper.)
+/// Estimates two models of the intensity by least squares: the dependence on range and
+/// incidence (LidarSequence::intensity_response), and gain and offset of each beam (Beam).
+/// Both are fitted to returns that hit the same 0.1 m of a surface. A model, or both
+/// together, is adopted only if it reduces the error by a further 5 %. The mean beam, and a
+/// beam that shares no surface with others, has gain 1 and offset 0. (Not in the paper.)
 /// @param frame_indices  indices into LidarSequence::frames of the frames to use
 IntensityCalibrationResult fit_and_set_intensity_calibration(LidarSequence& sequence,
                                                              const std::vector<int>& frame_indices);
 /// Measures the range noise of each LiDAR (Lidar::range_noise) from second differences
 /// between neighbouring firings of a beam. The scans must be in image order. A bin with
-/// fewer than 200 returns uses the value of the neighbouring bin. If no bin of a LiDAR
-/// has 200 returns, the LiDAR gets no noise. (Not in the paper.)
+/// fewer than 200 returns uses the value of the neighbouring bin. (Not in the paper.)
 /// @param frame_indices  indices into LidarSequence::frames of the frames to use
 /// @return number of returns that were used; 0: nothing was measured
 std::size_t measure_and_set_range_noise(LidarSequence& sequence, const std::vector<int>& frame_indices);
-/// Estimates the range offset of each beam (Beam) from returns on the same planes, in
-/// cells of 0.3 m. Uses alternating least squares, starting from the nominal ranges. The
-/// mean offset of all beams is 0. If the offsets reduce the thickness of the planes by
-/// less than 3 %, they are set to 0. Datasets contain offsets of centimetres between
-/// beams. (Not in the paper.)
+/// Estimates the range offset of each beam (Beam), centimetres in many datasets, from
+/// returns on the same planes in cells of 0.3 m. Their mean is 0. Offsets that make the
+/// planes less than 3 % thinner are set to 0. (Not in the paper.)
 /// @param frame_indices  indices into LidarSequence::frames of the frames to use
 RangeCalibrationResult fit_and_set_range_offset_of_beams(LidarSequence& sequence,
                                                          const std::vector<int>& frame_indices);
@@ -407,12 +386,11 @@ struct TrainTestSplit {
 };
 /// Splits the frames of a log into training and test frames. A test sweep includes the
 /// frames of all LiDARs that have the same index. Test sweeps are every
-/// `test_every_nth_frame`-th sweep except the first (10, 20, ... of 0:50 with 10), or the
-/// sweeps in `test_frame_list`. With `test_every_nth_frame` = 10 on a published part of a
-/// dataset, LidarSequence::test_frames are the test frames.
+/// `test_every_nth_frame`-th sweep except the first (10, 20, ... of 0:50 with 10), or, with
+/// 10 on a published part of a dataset, LidarSequence::test_frames.
 /// @param test_every_nth_frame  0: no test frames
-/// @param test_frame_list  indices and half-open ranges, "13,26,40:45". If not empty, it
-/// is used instead of `test_every_nth_frame`.
+/// @param test_frame_list  if not empty, the indices and half-open ranges of the test
+/// frames, "13,26,40:45"
 /// @throws UsageError for a test_every_nth_frame of 1, for an invalid list, for a frame
 /// that does not exist or is named twice, and if no frame is left for training
 TrainTestSplit split_frames_into_train_and_test(const LidarSequence& sequence, int test_every_nth_frame,

@@ -16,10 +16,8 @@ namespace relidar {
 namespace {
 
 constexpr int kTileColumns = 64;  // Number of columns of a tile. Each tile has one row.
-/// A ray depends on rays on its left and, in the rows above, on rays up to kAhead columns
-/// further right. So tile t of a row depends on tile t - 1 of this row and, in the rows
-/// above, on tiles up to t + 1, because kAhead is at most the width of a tile. Tiles with
-/// the same 2 * row + t are independent and run in parallel.
+/// Tile t of a row depends on tile t - 1 of this row and, in the rows above, on tiles up to
+/// t + 1. Tiles with the same 2 * row + t are independent and run in parallel.
 static_assert(scatter_detail::kAhead <= kTileColumns);
 
 const IntensityScatterModel::DecisionTreeNode& find_tree_leaf(

@@ -30,30 +30,26 @@ using scatter_detail::RayFeatures;
 
 constexpr std::size_t kMostReturns = 2000000, kFewestReturns = 1000;
 constexpr std::size_t kFewestOfLeaf = 50;
-// A node of the decision tree is split only if the log-likelihood then grows by at least
-// this value. If intensities do not depend on the features, about 1 in 100 nodes is still
+// Minimum gain in log-likelihood of a split. About 1 in 100 nodes of random intensities is
 // split by chance.
 constexpr double kLeastGain = 20.0;
 constexpr std::size_t kClasses = 24, kBins = 64;
 constexpr std::size_t kQuantileReturns = 100000;  // number of returns from which quantiles are computed
 
-/// One training return: the bin of each feature, the intensity class (one of kClasses
-/// intervals of intensity), and the intensity.
+/// One training return: the bin of each feature, the intensity class, and the intensity.
 struct ScatterSample {
     std::array<std::uint8_t, kFeatures> bins;
     std::uint8_t of_class;
     float value;
 };
 
-/// All training samples of the decision tree, one per LiDAR return. Samples in the same
-/// tree node are contiguous in memory.
+/// All training samples. Samples in the same tree node are contiguous in memory.
 struct ScatterSampleSet {
     std::vector<ScatterSample> all;
     std::array<std::vector<float>, kFeatures> cuts = {};  ///< upper ends of all bins except the last
 };
 
-/// Returns the values that divide a list into `n_parts` parts of equal size. Removes
-/// equal values.
+/// Returns the values that divide a list into `n_parts` equal parts, without duplicates.
 std::vector<float> compute_unique_quantiles(std::vector<float> values, std::size_t n_parts) {
     parallel_sort(values, std::less<>());
     std::vector<float> cuts;
@@ -66,7 +62,6 @@ std::uint8_t find_quantile_bin(const std::vector<float>& quantiles, float value)
     return std::uint8_t(std::lower_bound(quantiles.begin(), quantiles.end(), value) - quantiles.begin());
 }
 
-/// Position of a return: index of its image, and index of its ray.
 struct ImageRayIndex {
     std::uint32_t image, ray;
 };
@@ -76,8 +71,8 @@ bool is_measured_and_rendered_return(const PairedIntensities& paired_image, std:
            paired_image.rendered.range_m[ray_index] > 0.0f;
 }
 
-/// Lists the measured points whose rays also hit a rendered surface. If there are more
-/// than `max_returns`, selects about `max_returns` of them at random.
+/// Lists the measured points whose rays also hit a rendered surface, or a random part of
+/// about `max_returns` of them.
 std::vector<ImageRayIndex> sample_return_locations(std::span<const PairedIntensities> images,
                                                    std::size_t max_returns) {
     std::size_t n = 0;
@@ -132,16 +127,11 @@ ScatterSampleSet make_scatter_samples_with_binned_features(std::span<const Paire
 }
 
 /// Table of k ln k for integers.
-class EntropyTermTable {
-public:
-    explicit EntropyTermTable(std::size_t max_count) : of_(max_count + 1, 0.0) {
-        for (std::size_t k = 1; k <= max_count; ++k) of_[k] = double(k) * std::log(double(k));
-    }
-    double operator()(std::uint32_t k) const { return of_[k]; }
-
-private:
-    std::vector<double> of_;
-};
+std::vector<double> make_entropy_terms(std::size_t max_count) {
+    std::vector<double> terms(max_count + 1, 0.0);
+    for (std::size_t k = 1; k <= max_count; ++k) terms[k] = double(k) * std::log(double(k));
+    return terms;
+}
 
 /// Number of returns in each class.
 struct ClassCounts {
@@ -152,30 +142,27 @@ struct ClassCounts {
         for (std::size_t c = 0; c < kClasses; ++c) of[c] += other.of[c];
     }
     /// Returns the sum of n_c ln(n_c / n).
-    double compute_log_likelihood(const EntropyTermTable& k_log_k_table) const {
-        double sum = -k_log_k_table(count_returns_of_all_classes());
-        for (const std::uint32_t k : of) sum += k_log_k_table(k);
+    double compute_log_likelihood(const std::vector<double>& k_log_k_table) const {
+        double sum = -k_log_k_table[count_returns_of_all_classes()];
+        for (const std::uint32_t k : of) sum += k_log_k_table[k];
         return sum;
     }
 };
 
-/// Split of a tree node in two. The first child gets the returns whose feature value is
-/// in bin `bin` or lower.
+/// The first child gets the returns whose feature value is in bin `bin` or lower.
 struct TreeNodeSplit {
     double gain = kLeastGain;
     int feature = -1;
     std::size_t bin = 0;
 };
 
-// Number of features whose histograms are computed at the same time. Their histograms fit
-// into the first-level cache.
+// Number of features whose histograms fit into the first-level cache.
 constexpr std::size_t kTogether = 4;
 using ClassCountsByBin = std::array<ClassCounts, kBins>;
 
-/// Returns the best split of a tree node by one feature.
 /// @param class_counts_by_bin  number of returns of each class in each bin of the feature
 TreeNodeSplit find_best_feature_split(const ClassCountsByBin& class_counts_by_bin, std::size_t feature,
-                                      std::size_t n_bin_borders, const EntropyTermTable& k_log_k_table) {
+                                      std::size_t n_bin_borders, const std::vector<double>& k_log_k_table) {
     TreeNodeSplit best;
     ClassCounts all, low;
     for (const ClassCounts& of_bin : class_counts_by_bin) all.add_counts(of_bin);
@@ -184,8 +171,7 @@ TreeNodeSplit find_best_feature_split(const ClassCountsByBin& class_counts_by_bi
     std::uint32_t n_low = 0;
     for (std::size_t b = 0; b < n_bin_borders; ++b) {
         const std::uint32_t of_bin = class_counts_by_bin[b].count_returns_of_all_classes();
-        // A split after an empty bin equals the split before this bin, so it is skipped.
-        if (of_bin == 0) continue;
+        if (of_bin == 0) continue;  // the same split as before this bin
         low.add_counts(class_counts_by_bin[b]);
         n_low += of_bin;
         if (n_low < kFewestOfLeaf || n - n_low < kFewestOfLeaf) continue;
@@ -198,11 +184,11 @@ TreeNodeSplit find_best_feature_split(const ClassCountsByBin& class_counts_by_bi
     return best;
 }
 
-/// Returns the best split of a tree node by one of the features from `first_feature` to
-/// `first_feature + kTogether - 1`.
+/// Returns the best split by one of kTogether features from `first_feature`.
 TreeNodeSplit find_best_split_of_features(const ScatterSampleSet& samples,
                                           std::span<const ScatterSample> node_samples,
-                                          std::size_t first_feature, const EntropyTermTable& k_log_k_table) {
+                                          std::size_t first_feature,
+                                          const std::vector<double>& k_log_k_table) {
     const std::size_t n = std::min(kTogether, kFeatures - first_feature);
     std::array<ClassCountsByBin, kTogether> counts{};
     for (const ScatterSample& one : node_samples)
@@ -216,50 +202,34 @@ TreeNodeSplit find_best_split_of_features(const ScatterSampleSet& samples,
     return best;
 }
 
-/// Returns the best split of a tree node. If two splits are equally good, returns the one
-/// with the lower feature index.
-/// @param run_for_each_index  function that runs a task for 0, 1, ..., n - 1
-template <class Each>
-TreeNodeSplit find_best_node_split(const ScatterSampleSet& samples,
-                                   std::span<const ScatterSample> node_samples,
-                                   const EntropyTermTable& k_log_k_table, const Each& run_for_each_index) {
-    TreeNodeSplit best;
-    if (node_samples.size() < 2 * kFewestOfLeaf) return best;
-    std::array<TreeNodeSplit, (kFeatures + kTogether - 1) / kTogether> cuts;
-    run_for_each_index(int(cuts.size()), [&](int k) {
-        cuts[std::size_t(k)] =
-            find_best_split_of_features(samples, node_samples, std::size_t(k) * kTogether, k_log_k_table);
+/// Returns the best split of each tree node. If two splits are equally good, uses the one
+/// with the lower feature index. For large nodes, also processes the features in parallel.
+std::vector<TreeNodeSplit> find_best_layer_splits(
+    const ScatterSampleSet& samples, const std::vector<double>& k_log_k,
+    std::span<const IntensityScatterModel::DecisionTreeNode> nodes) {
+    constexpr std::size_t kLarge = 65536;
+    std::vector<TreeNodeSplit> best(nodes.size());
+    parallel_for(int(nodes.size()), [&](int index) {
+        const IntensityScatterModel::DecisionTreeNode& node = nodes[std::size_t(index)];
+        const auto node_samples = std::span(samples.all).subspan(node.first, node.count);
+        if (node.count < 2 * kFewestOfLeaf) return;
+        std::array<TreeNodeSplit, (kFeatures + kTogether - 1) / kTogether> cuts;
+        const auto find_cut = [&](int k) {
+            cuts[std::size_t(k)] =
+                find_best_split_of_features(samples, node_samples, std::size_t(k) * kTogether, k_log_k);
+        };
+        if (node.count >= kLarge) parallel_for(int(cuts.size()), find_cut);
+        else
+            for (int k = 0; k < int(cuts.size()); ++k) find_cut(k);
+        for (const TreeNodeSplit& cut : cuts)
+            if (cut.gain > best[std::size_t(index)].gain) best[std::size_t(index)] = cut;
     });
-    for (const TreeNodeSplit& cut : cuts)
-        if (cut.gain > best.gain) best = cut;
     return best;
 }
 
-/// Finds the best splits of several tree nodes in parallel. For large nodes, also
-/// processes the features in parallel.
-std::vector<TreeNodeSplit> find_best_layer_splits(
-    const ScatterSampleSet& samples, const EntropyTermTable& k_log_k,
-    std::span<const IntensityScatterModel::DecisionTreeNode> nodes) {
-    constexpr std::size_t kLarge = 65536;
-    std::vector<TreeNodeSplit> cuts(nodes.size());
-    const auto part = [&](std::size_t index) {
-        return std::span(samples.all).subspan(nodes[index].first, nodes[index].count);
-    };
-    parallel_for(int(nodes.size()), [&](int k) {
-        const bool is_large = nodes[std::size_t(k)].count >= kLarge;
-        cuts[std::size_t(k)] =
-            find_best_node_split(samples, part(std::size_t(k)), k_log_k, [&](int count, const auto& task) {
-                if (is_large) return parallel_for(count, task);
-                for (int i = 0; i < count; ++i) task(i);
-            });
-    });
-    return cuts;
-}
-
-/// Splits the nodes of the decision tree with index `first_node` or higher. A node stays
-/// a leaf if no split predicts better. Reorders `samples` so that those of each node stay
-/// contiguous.
-void split_tree_layer(ScatterSampleSet& samples, const EntropyTermTable& k_log_k_table,
+/// Splits the nodes of the decision tree with index `first_node` or higher. Reorders
+/// `samples` so that those of each node stay contiguous.
+void split_tree_layer(ScatterSampleSet& samples, const std::vector<double>& k_log_k_table,
                       std::vector<IntensityScatterModel::DecisionTreeNode>& nodes, std::size_t first_node) {
     const std::vector<TreeNodeSplit> cuts =
         find_best_layer_splits(samples, k_log_k_table, std::span(nodes).subspan(first_node));
@@ -293,15 +263,12 @@ void require_equal_image_array_sizes(std::span<const PairedIntensities> images) 
         for (const std::size_t size : {r.intensity.size(), r.range_m.size(), r.spread_m.size(),
                                        r.cosine.size(), r.elevation_rad.size(), measured.size()})
             if (size != n)
-                fail(
-                    "cannot fit the model of the random intensity scatter: found an array of {} values, "
-                    "expected {} x {}, one value per ray",
-                    size, r.rows, r.columns);
+                fail("cannot fit the intensity scatter: found an array of {} values, expected {} x {}", size,
+                     r.rows, r.columns);
     }
 }
 
-/// Returns the greatest common divisor of two real numbers (Euclid). Remainders below
-/// `tolerance` count as zero.
+/// Euclid's algorithm for real numbers. Remainders below `tolerance` count as zero.
 double find_approximate_gcd(double first, double second, double tolerance) {
     while (second > tolerance) {
         const double rest = std::abs(std::remainder(first, second));
@@ -324,8 +291,7 @@ double find_quantisation_step(std::vector<float> values) {
     for (const float value : values) {
         step = step > 0.0 ? find_approximate_gcd(double(value), step, kError * largest) : double(value);
         if (value > 0.0f && step < kFinest * largest) return 0.0;
-        // `value` is an integer multiple of the step, n * step. Recomputes the step as
-        // value / n, because a larger n gives a more accurate step.
+        // `value` is n * step. A larger n gives a more accurate step.
         if (step > 0.0) step = double(value) / std::round(double(value) / step);
     }
     const auto is_multiple = [&](float v) {
@@ -345,7 +311,7 @@ IntensityScatterModel fit_intensity_scatter_model(std::span<const PairedIntensit
     if (return_locations.size() < kFewestReturns) return result;
     ScatterSampleSet samples = make_scatter_samples_with_binned_features(images, return_locations);
     result.nodes = {{.first = 0, .count = std::uint32_t(return_locations.size())}};
-    const EntropyTermTable terms(return_locations.size());
+    const std::vector<double> terms = make_entropy_terms(return_locations.size());
     for (std::size_t first = 0; first < result.nodes.size();) {
         const std::size_t end = result.nodes.size();
         split_tree_layer(samples, terms, result.nodes, first);

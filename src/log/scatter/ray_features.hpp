@@ -20,17 +20,15 @@ namespace relidar::scatter_detail {
 struct RayOffset {
     int rows, columns;
 };
-/// Rectangle in the range image, as offsets from the current ray to the first (top left)
-/// and the last (bottom right) ray of the rectangle.
+/// Rectangle in the range image, as offsets to its top left and bottom right ray.
 struct RayWindow {
     RayOffset first, last;
 };
 
 constexpr std::array<RayOffset, 4> kBeside{{{0, -1}, {0, 1}, {-1, 0}, {1, 0}}};
 constexpr std::array<RayWindow, 2> kSmoothed{{{{0, -4}, {0, 4}}, {{-2, 0}, {2, 0}}}};
-/// Neighbouring rays whose residuals (known minus rendered intensity) are inputs of the
-/// decision tree. Lasers in adjacent rows fire alternately. So the ray two rows above is
-/// more similar to this ray than the ray one row above.
+/// Neighbouring rays whose residuals (known minus rendered intensity) are features. Lasers
+/// in adjacent rows fire alternately, so the ray two rows above is more similar.
 constexpr std::array<RayOffset, 7> kResiduals{
     {{0, -1}, {0, -2}, {0, -3}, {0, -4}, {-1, 0}, {-2, 0}, {-4, 0}}};
 constexpr std::array<RayOffset, 10> kLevels{
@@ -39,34 +37,25 @@ constexpr std::array<RayWindow, 5> kMeans{
     {{{0, -2}, {0, -1}}, {{0, -4}, {0, -1}}, {{0, -8}, {0, -1}}, {{-1, -2}, {-1, 2}}, {{-3, -3}, {-1, 3}}}};
 constexpr std::array<RayWindow, 2> kSizes{{{{0, -8}, {0, -1}}, {{-2, -3}, {-1, 3}}}};
 
-/// The features of a ray use known intensities of neighbouring rays: in the same row,
-/// rays to its left; in the rows above, rays up to this many columns to its right.
+/// The features use known intensities of rays to the left and, in the rows above, of rays
+/// up to this many columns to the right.
 constexpr int kAhead = 3;
-static_assert(std::ranges::all_of(kMeans, [](const RayWindow& w) {
-    return w.last.columns <= (w.last.rows < 0 ? kAhead : -1);
-}));
-static_assert(std::ranges::all_of(kSizes, [](const RayWindow& w) {
-    return w.last.columns <= (w.last.rows < 0 ? kAhead : -1);
-}));
-static_assert(std::ranges::all_of(kLevels, [](const RayOffset& s) {
-    return s.columns <= (s.rows < 0 ? kAhead : -1);
-}));
-static_assert(std::ranges::all_of(kResiduals, [](const RayOffset& s) {
-    return s.columns <= (s.rows < 0 ? kAhead : -1);
-}));
+constexpr bool is_known_before(RayOffset s) { return s.columns <= (s.rows < 0 ? kAhead : -1); }
+static_assert(std::ranges::all_of(kMeans, is_known_before, &RayWindow::last) &&
+              std::ranges::all_of(kSizes, is_known_before, &RayWindow::last) &&
+              std::ranges::all_of(kLevels, is_known_before) &&
+              std::ranges::all_of(kResiduals, is_known_before));
 
 constexpr std::size_t kRenderedFeatures = 5;  // intensity, range, spread, cosine, elevation
 constexpr std::size_t kFeatures = kRenderedFeatures + 2 * kBeside.size() + kSmoothed.size() +
                                   kResiduals.size() + kLevels.size() + kMeans.size() + kSizes.size();
 using RayFeatures = std::array<float, kFeatures>;
 
-/// Computes the inputs (features) with which a decision tree predicts the intensity of a
-/// ray. Some features are known intensities of rays to the left or above.
+/// Computes the features with which a decision tree predicts the intensity of a ray.
 class RayFeatureExtractor {
 public:
-    /// Stores references to the scan and to the known intensities.
-    /// @param known  [rows*columns] kNoIntensity where the intensity is unknown; the
-    /// caller may fill in values later
+    /// Stores references. The caller may fill in values of `known` later.
+    /// @param known  [rows*columns] kNoIntensity where the intensity is unknown
     RayFeatureExtractor(const RenderedIntensityImage& rendered, std::span<const float> known)
         : scan_(rendered), known_intensities_(known) {}
 
@@ -76,15 +65,13 @@ public:
         return result;
     }
 
-    /// Returns one feature. A path through the decision tree needs only a few features,
-    /// so computing all of them would be slower.
+    /// Returns one feature. A path through the decision tree needs only a few features.
     float compute_feature(std::size_t feature_index, int row, int column) const {
         const auto at = [&](RayOffset s) {
             return get_pixel_index(std::clamp(row + s.rows, 0, scan_.rows - 1), column + s.columns);
         };
-        // Returns the known intensity of a neighbouring ray. Intensities are sampled from
-        // left to right. A neighbour left of column 0 wraps to the right edge, which is
-        // sampled later, so it counts as unknown.
+        // Intensities are sampled from left to right. A neighbour left of column 0 wraps to
+        // the right edge, which is sampled later, so it counts as unknown.
         const auto level = [&](RayOffset s) {
             const bool is_beyond_end = !scan_.circular && column + s.columns >= scan_.columns;
             return row + s.rows < 0 || column + s.columns < 0 || is_beyond_end ? kNoIntensity
@@ -99,9 +86,8 @@ public:
             const float r = residual(s);
             return r == kNoIntensity ? r : std::abs(r);
         };
-        /// Features are numbered group by group. Returns true if `feature_index` is in
-        /// the current group of `count` features. Otherwise subtracts `count` from it, so
-        /// that it counts from the next group.
+        /// Returns true if `feature_index` is in the current group of `count` features.
+        /// Otherwise subtracts `count`, so that it counts from the next group.
         const auto is_of = [&](std::size_t count) {
             return feature_index < count || (feature_index -= count, false);
         };
