@@ -2,11 +2,9 @@
 // Reads and writes the spherical-harmonic coefficients of one surfel per thread, one
 // channel at a time.
 //
-// On a CPU, each thread accesses its coefficients in memory directly. On a GPU,
-// neighbouring threads would then access addresses 192 bytes apart, which is slow.
+// On a GPU, neighbouring threads would access addresses 192 bytes apart, which is slow.
 // Therefore, if STAGED is set, all threads of a workgroup together copy a channel of all
-// their surfels to shared memory. Neighbouring threads then access neighbouring
-// addresses.
+// their surfels to shared memory, with neighbouring addresses.
 //
 // Include this file after kernel.glsl and shared/scene.h.
 #ifndef RELIDAR_INCLUDED_SCENE_SH_ROWS_GLSL
@@ -19,10 +17,8 @@ const uint kChannelPitch = 17u;
 shared float staged_channel[gl_WorkGroupSize.x * kChannelPitch];
 shared bool staged_loads[gl_WorkGroupSize.x], staged_stores[gl_WorkGroupSize.x];
 
-/// Sets whether the spherical-harmonic coefficients of this thread's surfel are loaded
-/// and stored. All threads of the workgroup copy coefficients together. Therefore even a
-/// thread that sets false must call this function, load_sh_channel() and
-/// store_sh_channel().
+/// Sets whether the coefficients of this thread's surfel are loaded and stored. All threads
+/// of the workgroup must call this function, load_sh_channel() and store_sh_channel().
 void set_sh_memory_access(bool loads_coefficients, bool stores_coefficients) {
     if (!STAGED) return;
     staged_loads[gl_LocalInvocationIndex] = loads_coefficients;

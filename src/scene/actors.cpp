@@ -9,10 +9,7 @@
 #include <string_view>
 #include <unordered_map>
 
-#include <fmt/format.h>
 #include <fmt/ranges.h>
-
-#include <relidar/base/error.hpp>
 
 #include "base/fail.hpp"
 #include "base/list_text.hpp"
@@ -23,7 +20,6 @@
 #include "scene/walked_distance.hpp"
 
 namespace relidar {
-
 namespace {
 
 constexpr double kPointMargin_m = 0.1;  // some labelled boxes are too small

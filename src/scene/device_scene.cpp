@@ -9,10 +9,6 @@
 #include <cmath>
 #include <utility>
 
-#include <fmt/format.h>
-
-#include <relidar/base/error.hpp>
-
 #include "base/assert.hpp"
 #include "base/fail.hpp"
 #include "gpu/stream.hpp"

@@ -6,10 +6,6 @@
 #include <array>
 #include <cmath>
 
-#include <fmt/format.h>
-
-#include <relidar/base/error.hpp>
-
 #include "base/fail.hpp"
 #include "base/parallel.hpp"
 

@@ -8,12 +8,7 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
-#include <optional>
 #include <unordered_map>
-
-#include <fmt/format.h>
-
-#include <relidar/base/error.hpp>
 
 #include "base/fail.hpp"
 #include "base/nearest_place.hpp"
@@ -25,7 +20,6 @@
 #include "scene/visibility.hpp"
 
 namespace relidar {
-
 namespace {
 
 // Minimum ratio (frames with empty space) / (frames with a return) at a removed point. It

@@ -4,10 +4,7 @@
 
 #include <algorithm>
 
-#include <fmt/format.h>
 #include <fmt/ranges.h>
-
-#include <relidar/base/error.hpp>
 
 #include "base/fail.hpp"
 

@@ -4,7 +4,6 @@
 #include "scene/mover_boxes.hpp"
 
 #include <algorithm>
-#include <array>
 #include <cmath>
 #include <optional>
 #include <utility>

@@ -4,7 +4,6 @@
 #include "scene/mover_clusters.hpp"
 
 #include <algorithm>
-#include <cmath>
 #include <iterator>
 #include <span>
 #include <unordered_map>

@@ -4,7 +4,6 @@
 #include "scene/mover_tracks.hpp"
 
 #include <algorithm>
-#include <cmath>
 #include <iterator>
 #include <numeric>
 #include <tuple>

@@ -14,7 +14,6 @@
 #include "base/random.hpp"
 
 namespace relidar {
-
 namespace {
 
 constexpr float kSh0 = 0.28209479177387814f;  ///< SH constant of degree 0

@@ -6,10 +6,7 @@
 #include <algorithm>
 #include <limits>
 
-#include <fmt/format.h>
 #include <fmt/ranges.h>
-
-#include <relidar/base/error.hpp>
 
 #include "base/fail.hpp"
 #include "scene/shared/scene.h"

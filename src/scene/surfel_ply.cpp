@@ -17,9 +17,6 @@
 #include <tuple>
 #include <unordered_map>
 
-#include <fmt/format.h>
-
-#include <relidar/base/error.hpp>
 #include <relidar/scene/device_scene.hpp>
 #include <relidar/scene/scene.hpp>
 #include "base/cell_key.hpp"

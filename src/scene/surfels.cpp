@@ -7,16 +7,12 @@
 #include <cmath>
 #include <numeric>
 
-#include <fmt/format.h>
-
-#include <relidar/base/error.hpp>
 #include <relidar/scene/device_scene.hpp>
 
 #include "base/fail.hpp"
 #include "base/longest_axis.hpp"
 
 namespace relidar {
-
 namespace {
 
 constexpr bool are_primitives_in_order() {

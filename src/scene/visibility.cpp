@@ -13,7 +13,6 @@
 #include "base/parallel.hpp"
 
 namespace relidar {
-
 namespace {
 
 constexpr int kMostRows = 96, kEvenRows = 64, kFewestColumns = 64, kMostColumns = 1024;

@@ -1,9 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests scene/activate and scene/activate_vjp, which compute the
-// intersection records of surfels and their derivatives. Compares each element of a
-// record with the reference activations and their central differences. Covers harmonics
-// read by each thread or through shared memory, rigid and walking actors, and the kd
-// order.
+// Tests scene/activate and scene/activate_vjp. Compares each element of a record with the
+// reference activations and their central differences.
 #include <algorithm>
 #include <cmath>
 #include <limits>
@@ -30,8 +27,7 @@ namespace {
 constexpr std::uint32_t kOfBackground = 70;
 constexpr double kPhase = 0.3;  // phase of the actor's gait, turns
 
-/// Runs each test for both primitives, for the way in which a CPU and a GPU read
-/// harmonics, and for a rigid and a walking actor.
+/// Parameters: primitive, whether harmonics are read as on a GPU, whether the actor walks.
 class Activate : public test::DeviceTest,
                  public testing::WithParamInterface<std::tuple<PrimitiveType, bool, bool>> {
 protected:
@@ -58,8 +54,7 @@ protected:
         }
         return surfels;
     }
-    /// Returns a surfel as on_device() places it in the scene. A surfel of a walking
-    /// actor has moved with its limb.
+    /// Returns a surfel as on_device() places it: on a walking actor, moved with its limb.
     reference::Surfel in_scene(const reference::Surfel& surfel, std::size_t index) const {
         return bends() && index >= kOfBackground ? reference::move_to_phase(surfel, kPhase) : surfel;
     }
@@ -91,8 +86,7 @@ INSTANTIATE_TEST_SUITE_P(PrimitivesAndAccess, Activate,
                          testing::Combine(testing::Values(PrimitiveType::surfel, PrimitiveType::gaussian),
                                           testing::Bool(), testing::Bool()));
 
-/// Returns the 16 floats of a record, computed in double, in the order of
-/// shaders/scene/shared/scene.h.
+/// Returns the floats of a record in double, in the order of shaders/scene/shared/scene.h.
 std::vector<double> compute_record(const reference::Surfel& surfel, const glm::dvec3& view_origin,
                                    int sh_degree) {
     const reference::DoubleRecord r = reference::make_record(surfel);
@@ -102,13 +96,12 @@ std::vector<double> compute_record(const reference::Surfel& surfel, const glm::d
             r.normal.x, r.normal.y,         r.normal.z, c.z};
 }
 
-/// Returns the tolerance of each element of a record. It contains Vulkan's error bounds
-/// of exp and division, the rounding of a rotation matrix, and 2e-6 of summed values.
+/// Returns the tolerance of each element of a record: Vulkan's error bounds of exp and
+/// division, the rounding of a rotation matrix, and 2e-6 of summed values.
 std::vector<double> compute_record_tolerance(const reference::Surfel& surfel,
                                              const std::vector<double>& expected) {
-    // An element of the rotation matrix is twice a sum of two products of q / |q|. On the
-    // diagonal, it is 1 minus this value. Each factor has the error of an inverse square
-    // root (2 units) and of 6 roundings. The sum of the products is at most 1.
+    // On the diagonal, the element is 1 minus twice a sum of two products of q / |q|. Each
+    // factor has the error of an inverse square root (2 units) and of 6 roundings.
     constexpr double kElement =
         2.0 * 2.0 * (2.0 * test::kUnit + 6.0 * test::kRounding) + 4.0 * test::kRounding;
     const double log_scale[] = {surfel.log_scale.x, surfel.log_scale.y, surfel.log_scale_w.value_or(0.0)};
@@ -129,13 +122,12 @@ std::vector<double> compute_record_tolerance(const reference::Surfel& surfel,
 TEST_P(Activate, RecordsAgreeWithReference) {
     const std::vector<reference::Surfel> surfels = make_some_surfels();
     const glm::vec3 view(0.3f, -0.2f, 0.1f);
-    const std::unique_ptr<DeviceScene> placed = on_device(test::to_surfels(surfels));
-    DeviceScene& scene = *placed;
+    const std::unique_ptr<DeviceScene> scene = on_device(test::to_surfels(surfels));
     for (const int degree : {3, 1}) {
         Stream stream(device());
-        scene.record_activation_of_surfel_parameters(stream, image_model(degree), view);
+        scene->record_activation_of_surfel_parameters(stream, image_model(degree), view);
         stream.submit_and_wait();
-        const std::vector<float> actual = test::to_floats(scene.get_surfel_records().download());
+        const std::vector<float> actual = test::to_floats(scene->get_surfel_records().download());
         for (std::size_t i = 0; i < surfels.size(); ++i) {
             const std::vector<double> expected =
                 compute_record(in_scene(surfels[i], i), glm::dvec3(view), degree);
@@ -146,8 +138,7 @@ TEST_P(Activate, RecordsAgreeWithReference) {
     }
 }
 
-/// Kernels search for the model of a surfel, so models must have consecutive ranges of
-/// surfels. All other ranges must be rejected.
+/// Kernels search for the model of a surfel, which needs consecutive ranges.
 TEST_P(Activate, ModelsThatAreNoConsecutiveRangesAreRefused) {
     Scene scene = make_background_scene(test::to_surfels(make_some_surfels()));
     const auto n = static_cast<std::uint32_t>(scene.surfels.size());
@@ -166,18 +157,16 @@ TEST_P(Activate, HarmonicsThatAreNoNumbersMakeASurfelInvisible) {
     surfels.sh[kShFloats * 99 + 3] = std::numeric_limits<float>::infinity();
     // this coefficient is above the active SH degree
     surfels.sh[kShFloats * 7 + 47] = std::numeric_limits<float>::quiet_NaN();
-    const std::unique_ptr<DeviceScene> placed = on_device(surfels);
-    DeviceScene& scene = *placed;
+    const std::unique_ptr<DeviceScene> scene = on_device(surfels);
     Stream stream(device());
-    scene.record_activation_of_surfel_parameters(stream, image_model(1), glm::vec3(0.0f));
+    scene->record_activation_of_surfel_parameters(stream, image_model(1), glm::vec3(0.0f));
     stream.submit_and_wait();
-    const std::vector<shared::SurfelRecord> records = scene.get_surfel_records().download();
+    const std::vector<shared::SurfelRecord> records = scene->get_surfel_records().download();
     for (std::size_t i = 0; i < surfels.size(); ++i)
         EXPECT_EQ(records[i].opacity == 0.0f, i == 5 || i == 99) << "surfel " << i;
 }
 
-/// Returns random gradients of intersection records. Every third surfel has the gradient
-/// 0.
+/// Every third surfel has the gradient 0.
 std::vector<float> make_record_gradients(std::size_t count) {
     std::mt19937_64 random(3);
     std::normal_distribution<float> normal;
@@ -192,32 +181,24 @@ std::vector<float> make_record_gradients(std::size_t count) {
 template <class Terms>
 void add_surfel_rows(test::GradientTable& table, reference::Surfel& surfel, const Surfels& actual,
                      std::size_t index, int degree, bool bends, Terms&& terms) {
-    const auto row = [](const float* v, int count) { return std::vector<double>(v, v + count); };
-    table.add_row("mean", test::compute_central_differences(&surfel.mean.x, 3, terms),
-                  row(&actual.mean[index].x, 3));
-    table.add_row("rotation", test::compute_central_differences(&surfel.rotation.x, 4, terms),
-                  row(&actual.rotation[index].x, 4));
-    table.add_row("log_scale", test::compute_central_differences(&surfel.log_scale.x, 2, terms),
-                  row(&actual.log_scale[index].x, 2));
-    if (surfel.log_scale_w)
-        table.add_row("log_scale_w", test::compute_central_differences(&*surfel.log_scale_w, 1, terms),
-                      row(&actual.log_scale_w[index], 1));
-    table.add_row("opacity_logit", test::compute_central_differences(&surfel.opacity_logit, 1, terms),
-                  row(&actual.opacity_logit[index], 1));
+    const auto add = [&](const char* name, double* values, const float* gradient, int count, auto... step) {
+        table.add_row(name, test::compute_central_differences(values, count, terms, step...),
+                      std::vector<double>(gradient, gradient + count));
+    };
+    add("mean", &surfel.mean.x, &actual.mean[index].x, 3);
+    add("rotation", &surfel.rotation.x, &actual.rotation[index].x, 4);
+    add("log_scale", &surfel.log_scale.x, &actual.log_scale[index].x, 2);
+    if (surfel.log_scale_w) add("log_scale_w", &*surfel.log_scale_w, &actual.log_scale_w[index], 1);
+    add("opacity_logit", &surfel.opacity_logit, &actual.opacity_logit[index], 1);
     if (bends) {
-        table.add_row("gait phase", test::compute_central_differences(&surfel.gait_phase, 1, terms),
-                      row(&actual.gait[index].phase, 1));
-        table.add_row("gait sharpness", test::compute_central_differences(&surfel.gait_sharpness, 1, terms),
-                      row(&actual.gait[index].sharpness, 1));
-        table.add_row("gait swing", test::compute_central_differences(&surfel.gait_swing.x, 3, terms),
-                      row(&actual.gait[index].swing.x, 3));
+        add("gait phase", &surfel.gait_phase, &actual.gait[index].phase, 1);
+        add("gait sharpness", &surfel.gait_sharpness, &actual.gait[index].sharpness, 1);
+        add("gait swing", &surfel.gait_swing.x, &actual.gait[index].swing.x, 3);
     }
     const int active = (degree + 1) * (degree + 1);
     for (int first = 0; first < kShFloats; first += kShCoefficients)
-        table.add_row(
-            "sh",
-            test::compute_central_differences(surfel.sh.data() + first, active, terms, test::kLogitStep),
-            row(actual.sh.data() + index * kShFloats + std::size_t(first), active));
+        add("sh", surfel.sh.data() + first, actual.sh.data() + index * kShFloats + std::size_t(first), active,
+            test::kLogitStep);
 }
 
 TEST_P(Activate, VjpAgreesWithDifferencesOfReference) {
@@ -225,8 +206,7 @@ TEST_P(Activate, VjpAgreesWithDifferencesOfReference) {
     const glm::vec3 view(0.3f, -0.2f, 0.1f);
     glm::dvec3 exact_view(view);
     const std::vector<float> d_records = make_record_gradients(surfels.size());
-    const std::unique_ptr<DeviceScene> placed = on_device(test::to_surfels(surfels));
-    DeviceScene& scene = *placed;
+    const std::unique_ptr<DeviceScene> scene = on_device(test::to_surfels(surfels));
     const auto n = static_cast<std::uint32_t>(surfels.size());
     for (const int degree : {3, 1}) {
         Stream stream(device());
@@ -235,8 +215,8 @@ TEST_P(Activate, VjpAgreesWithDifferencesOfReference) {
         Array<float, shared::ViewGradients> d_view(device(), 3 * surfels.size(), "view gradient");
         const Array<float, shared::RecordGradients> upstream(device(), std::span<const float>(d_records),
                                                              "record gradient");
-        scene.record_activation_backpropagation(stream, image_model(degree), view,
-                                                {&upstream, &d_surfels, &touched, &d_view});
+        scene->record_activation_backpropagation(stream, image_model(degree), view,
+                                                 {&upstream, &d_surfels, &touched, &d_view});
         stream.submit_and_wait();
         const Surfels actual = d_surfels.download();
         const std::vector<std::uint32_t> marks = touched.download();
@@ -266,8 +246,7 @@ TEST_P(Activate, VjpLeavesUntouchedRowsWhereTheyAreNotWanted) {
     const std::vector<reference::Surfel> surfels = make_some_surfels();
     const std::vector<float> d_records = make_record_gradients(surfels.size());
     const auto n = static_cast<std::uint32_t>(surfels.size());
-    const std::unique_ptr<DeviceScene> placed = on_device(test::to_surfels(surfels));
-    DeviceScene& scene = *placed;
+    const std::unique_ptr<DeviceScene> scene = on_device(test::to_surfels(surfels));
     SurfelArrays d_surfels(device(), n, "gradient", parameters());
     Surfels before;
     before.resize(n, parameters());
@@ -278,8 +257,8 @@ TEST_P(Activate, VjpLeavesUntouchedRowsWhereTheyAreNotWanted) {
     const Array<float, shared::RecordGradients> upstream(device(), std::span<const float>(d_records),
                                                          "record gradient");
     Stream stream(device());
-    scene.record_activation_backpropagation(stream, image_model(3), glm::vec3(0.0f),
-                                            {&upstream, &d_surfels, &touched, nullptr, false});
+    scene->record_activation_backpropagation(stream, image_model(3), glm::vec3(0.0f),
+                                             {&upstream, &d_surfels, &touched, nullptr, false});
     stream.submit_and_wait();
     const Surfels after = d_surfels.download();
     for (std::size_t i = 0; i < n; ++i) {
@@ -290,8 +269,8 @@ TEST_P(Activate, VjpLeavesUntouchedRowsWhereTheyAreNotWanted) {
     }
 }
 
-/// Compares the derivatives over a list of marked surfels with the derivatives over all
-/// surfels. Some marked surfels have no gradient. Unmarked surfels must not be read.
+/// Compares the derivatives over a list of marked surfels with those over all surfels. Some
+/// marked surfels have no gradient. Unmarked surfels must not be read.
 TEST_P(Activate, VjpOverAListIsThatOverAll) {
     const std::vector<reference::Surfel> surfels = make_some_surfels();
     const auto n = static_cast<std::uint32_t>(surfels.size());
@@ -335,7 +314,6 @@ TEST_P(Activate, VjpOverAListIsThatOverAll) {
 class TouchedRows : public test::DeviceTest {};
 
 /// Checks that the list contains exactly the surfels with a gradient, each surfel once.
-/// Tests several numbers of surfels.
 TEST_F(TouchedRows, AreListed) {
     const Kernel<shared::ListTouchedParams> kernel(device(), "scene/list_touched");
     std::mt19937 random(3);

@@ -1,8 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Tests actors (paper section 3.2, Eq. 4-5). Points of a moving box are expressed in the
-// frame of the box. Each box gets a model and an instance. The instance has the pose of
-// the box and is absent outside the time range of the labels. Also renders actors, and
-// checks that moving a box needs no new bottom-level structure.
+// frame of the box. Each box gets a model and an instance, which has the pose of the box
+// and is absent outside the time range of the labels.
 #include <algorithm>
 #include <cmath>
 
@@ -28,96 +27,88 @@ SceneInitialisationOptions make_options_with_actors() {
     return options;
 }
 
+std::vector<int> train_of(const LidarSequence& street) {
+    return split_frames_into_train_and_test(street, 10).train;
+}
+
+Scene make_scene(const LidarSequence& street, const SceneInitialisationOptions& options) {
+    return initialise_scene(street, train_of(street), options);
+}
+
+const BoxTrack& box_of(const LidarSequence& street, const Scene& scene, std::size_t instance) {
+    const BoxTrack* box = find_box_track_by_id(street, scene.instances[instance].track);
+    EXPECT_NE(box, nullptr);
+    return *box;
+}
+
 TEST(Actors, AreMadeOfMovingBoxesInTheirOwnFrame) {
     const LidarSequence street = make_synthetic_street(make_street_options());
-    const Scene scene = initialise_scene(street, split_frames_into_train_and_test(street, 10).train,
-                                         make_options_with_actors());
+    const Scene scene = make_scene(street, make_options_with_actors());
     ASSERT_EQ(scene.models.size(), 3u) << "the background and two cars";
     ASSERT_EQ(scene.instances.size(), 3u);
     EXPECT_TRUE(scene.instances[0].track.empty());
     for (std::size_t m = 1; m < scene.models.size(); ++m) {
-        const auto box = std::find_if(street.boxes.begin(), street.boxes.end(),
-                                      [&](const BoxTrack& b) { return b.id == scene.instances[m].track; });
-        ASSERT_NE(box, street.boxes.end());
+        const BoxTrack& box = box_of(street, scene, m);
         EXPECT_EQ(scene.models[m].first, scene.models[m - 1].first + scene.models[m - 1].count);
         EXPECT_GT(glm::length(scene.models[m].half_size_m), 2.0f) << "a car has a box";
         for (std::uint32_t i = 0; i < scene.models[m].count; ++i) {
             ASSERT_TRUE(glm::all(glm::lessThanEqual(glm::abs(scene.surfels.mean[scene.models[m].first + i]),
                                                     scene.models[m].half_size_m)));
             const glm::dvec3 p = glm::abs(glm::dvec3(scene.surfels.mean[scene.models[m].first + i]));
-            EXPECT_LE(p.x, 0.5 * box->size_m.x + 0.11);
-            EXPECT_LE(p.y, 0.5 * box->size_m.y + 0.11);
-            EXPECT_LE(p.z, 0.5 * box->size_m.z + 0.11);
+            EXPECT_TRUE(glm::all(glm::lessThanEqual(p, 0.5 * box.size_m + 0.11)));
         }
     }
     SceneInitialisationOptions by_kind = make_options_with_actors();
     by_kind.actor_classes = "cyclist, vehicle";
-    EXPECT_EQ(
-        initialise_scene(street, split_frames_into_train_and_test(street, 10).train, by_kind).models.size(),
-        3u)
-        << "whatever a dataset calls them";
+    EXPECT_EQ(make_scene(street, by_kind).models.size(), 3u) << "whatever a dataset calls them";
     SceneInitialisationOptions nothing;
     nothing.actor_classes = "";
-    EXPECT_EQ(
-        initialise_scene(street, split_frames_into_train_and_test(street, 10).train, nothing).models.size(),
-        1u)
-        << "no class is wanted: masked instead";
+    EXPECT_EQ(make_scene(street, nothing).models.size(), 1u) << "no class is wanted: masked instead";
 }
 
 TEST(Actors, StandWhereTheirBoxIsAndAreAbsentOutsideItsLabels) {
     LidarSequence street = make_synthetic_street(make_street_options());
     street.rolling_shutter = false;
-    const Scene scene = initialise_scene(street, split_frames_into_train_and_test(street, 10).train,
-                                         make_options_with_actors());
+    const Scene scene = make_scene(street, make_options_with_actors());
     ASSERT_GE(scene.instances.size(), 2u);
-    const auto box = std::find_if(street.boxes.begin(), street.boxes.end(),
-                                  [&](const BoxTrack& b) { return b.id == scene.instances[1].track; });
-    const double first = box->world_from_box.time_s.front(), last = box->world_from_box.time_s.back(),
+    const PoseTrack& track = box_of(street, scene, 1).world_from_box;
+    const double first = track.time_s.front(), last = track.time_s.back(),
                  middle = 0.37 * first + 0.63 * last;
     const std::vector<InstancePose> placed = compute_instance_poses(scene, street, {middle});
     EXPECT_TRUE(placed[0].present && placed[1].present);
     EXPECT_EQ(placed[0].world_from_model.translation, glm::dvec3(0.0));
-    EXPECT_LT(glm::length(placed[1].world_from_model.translation -
-                          box->world_from_box.interpolate_pose(middle).translation),
-              1e-12);
+    EXPECT_LT(
+        glm::distance(placed[1].world_from_model.translation, track.interpolate_pose(middle).translation),
+        1e-12);
     EXPECT_FALSE(compute_instance_poses(scene, street, {last + 1.0})[1].present);
     EXPECT_FALSE(compute_instance_poses(scene, street, {first - 1.0})[1].present);
     EXPECT_TRUE(compute_instance_poses(scene, street, {last + 1.0})[0].present);
 }
 
 const SurfelModel& find_model_of_track(const Scene& scene, std::string_view track) {
-    const auto instance = std::find_if(scene.instances.begin(), scene.instances.end(),
-                                       [&](const ModelInstance& i) { return i.track == track; });
+    const auto instance = std::ranges::find(scene.instances, track, &ModelInstance::track);
     EXPECT_NE(instance, scene.instances.end());
     return scene.models[instance->model];
-}
-
-std::size_t n_models(const LidarSequence& street, SceneInitialisationOptions options) {
-    return initialise_scene(street, split_frames_into_train_and_test(street, 10).train, options)
-        .models.size();
 }
 
 TEST(Actors, AreChosenByClassOrTrack) {
     const LidarSequence street = make_synthetic_street(make_street_options());
     SceneInitialisationOptions options = make_options_with_actors();
     options.actor_tracks = "1";
-    const Scene one = initialise_scene(street, split_frames_into_train_and_test(street, 10).train, options);
+    const Scene one = make_scene(street, options);
     ASSERT_EQ(one.models.size(), 2u);
     EXPECT_EQ(one.instances[1].track, "1");
     options.actor_tracks = "1, 7";
-    EXPECT_THROW(n_models(street, options), UsageError);
+    EXPECT_THROW(make_scene(street, options), UsageError);
     options = make_options_with_actors();
     options.actor_classes = "";
     EXPECT_EQ(list_foreground_boxes(street, options).size(), 2u);
-    EXPECT_EQ(n_models(street, options), 1u);
-    const std::size_t masked =
-        initialise_background(street, split_frames_into_train_and_test(street, 10).train, options).size();
+    EXPECT_EQ(make_scene(street, options).models.size(), 1u);
+    const std::size_t masked = initialise_background(street, train_of(street), options).size();
     options.mask_others = false;
     EXPECT_TRUE(list_foreground_boxes(street, options).empty());
-    EXPECT_EQ(n_models(street, options), 1u);
-    EXPECT_GT(
-        initialise_background(street, split_frames_into_train_and_test(street, 10).train, options).size(),
-        masked + 100)
+    EXPECT_EQ(make_scene(street, options).models.size(), 1u);
+    EXPECT_GT(initialise_background(street, train_of(street), options).size(), masked + 100)
         << "the cars' points are in it";
 }
 
@@ -125,14 +116,13 @@ TEST(Actors, OtherBoxesAreMaskedOrPartOfTheBackground) {
     LidarSequence street = make_synthetic_street(make_street_options());
     ASSERT_EQ(street.boxes.size(), 2u);
     street.boxes[0].category = "Pedestrian";
-    const std::vector<int> train = split_frames_into_train_and_test(street, 10).train;
     SceneInitialisationOptions options = make_options_with_actors();
     options.actor_classes = "person";
-    const Scene masked = initialise_scene(street, train, options);
+    const Scene masked = make_scene(street, options);
     ASSERT_EQ(masked.instances.size(), 2u);
     EXPECT_EQ(find_boxes_without_model(masked, street, options).size(), 1u);
     options.mask_others = false;
-    const Scene unmasked = initialise_scene(street, train, options);
+    const Scene unmasked = make_scene(street, options);
     ASSERT_EQ(unmasked.instances.size(), 2u) << "the actor stays one";
     EXPECT_EQ(unmasked.instances[1].track, "0");
     EXPECT_TRUE(find_boxes_without_model(unmasked, street, options).empty());
@@ -150,7 +140,7 @@ TEST(Actors, TrackChosenByNameNeedNotMove) {
     options.actor_tracks = "0";
     EXPECT_EQ(list_foreground_boxes(street, options).size(), 2u);
     box.world_from_box = {{box.world_from_box.time_s[6]}, {box.world_from_box.pose[6]}};
-    const Scene scene = initialise_scene(street, split_frames_into_train_and_test(street, 10).train, options);
+    const Scene scene = make_scene(street, options);
     EXPECT_EQ(scene.instances.size(), 2u) << "one observation is enough";
     EXPECT_TRUE(compute_instance_poses(scene, street, {box.world_from_box.time_s[0]})[1].present);
     EXPECT_FALSE(compute_instance_poses(scene, street, {box.world_from_box.time_s[0] + 0.1})[1].present);
@@ -158,15 +148,14 @@ TEST(Actors, TrackChosenByNameNeedNotMove) {
 
 TEST(Actors, ArePaddedInTheirBox) {
     const LidarSequence street = make_synthetic_street(make_street_options());
-    const std::vector<int> train = split_frames_into_train_and_test(street, 10).train;
-    const Scene plain = initialise_scene(street, train, make_options_with_actors());
+    const Scene plain = make_scene(street, make_options_with_actors());
     SceneInitialisationOptions options = make_options_with_actors();
     options.actor_pad_to = 3000;
-    const Scene padded = initialise_scene(street, train, options);
+    const Scene padded = make_scene(street, options);
     ASSERT_LT(find_model_of_track(plain, "0").count, 3000u);
     EXPECT_EQ(find_model_of_track(padded, "0").count, 3000u);
     options.actor_points = 500;
-    EXPECT_EQ(find_model_of_track(initialise_scene(street, train, options), "0").count, 500u)
+    EXPECT_EQ(find_model_of_track(make_scene(street, options), "0").count, 500u)
         << "never more than actor_points";
     const SurfelModel& car = find_model_of_track(padded, "0");
     int octants[8] = {};
@@ -197,8 +186,7 @@ TEST(Actors, OverlappingAndEmptyBoxesBecomeWhatTheyHold) {
     street.boxes.push_back(street.boxes[0]);
     street.boxes.back().id = "empty";
     for (Pose& pose : street.boxes.back().world_from_box.pose) pose.translation.z += 40.0;
-    const Scene scene = initialise_scene(street, split_frames_into_train_and_test(street, 10).train,
-                                         make_options_with_actors());
+    const Scene scene = make_scene(street, make_options_with_actors());
     EXPECT_EQ(scene.instances.size(), 4u)
         << "background, two cars and the twin; a box without points is no actor";
     EXPECT_EQ(find_model_of_track(scene, "twin").count, find_model_of_track(scene, "0").count);
@@ -223,14 +211,14 @@ TEST_F(ActorsOnDevice, AbsentInstancesAreNotSeenByAnyTraversal) {
         const ForcedBehaviourScope forced(device(), {.brute_force = brute_force});
         Renderer renderer(device(), scene, {});
         const WorldRays ray{{{0, 0, 0}}, {{1, 0, 0}}};
-        renderer.record_instance_poses_and_view({at(20, true), at(5, true), at(8, true)}, glm::vec3(0.0f));
-        EXPECT_NEAR(renderer.render_rays(ray).median_depth[0], 5.0f, 1e-5f);
-        renderer.record_instance_poses_and_view({at(20, true), at(5, false), at(8, true)}, glm::vec3(0.0f));
-        EXPECT_NEAR(renderer.render_rays(ray).median_depth[0], 8.0f, 1e-5f);
-        renderer.record_instance_poses_and_view({at(20, true), at(5, false), at(8, false)}, glm::vec3(0.0f));
-        EXPECT_NEAR(renderer.render_rays(ray).median_depth[0], 20.0f, 1e-5f);
-        renderer.record_instance_poses_and_view({at(20, true), at(3, true), at(8, false)}, glm::vec3(0.0f));
-        EXPECT_NEAR(renderer.render_rays(ray).median_depth[0], 3.0f, 1e-5f);
+        const auto expect_depth = [&](const std::vector<InstancePose>& poses, float depth) {
+            renderer.record_instance_poses_and_view(poses, glm::vec3(0.0f));
+            EXPECT_NEAR(renderer.render_rays(ray).median_depth[0], depth, 1e-5f);
+        };
+        expect_depth({at(20, true), at(5, true), at(8, true)}, 5.0f);
+        expect_depth({at(20, true), at(5, false), at(8, true)}, 8.0f);
+        expect_depth({at(20, true), at(5, false), at(8, false)}, 20.0f);
+        expect_depth({at(20, true), at(3, true), at(8, false)}, 3.0f);
     }
 }
 

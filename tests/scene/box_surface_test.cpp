@@ -17,7 +17,7 @@ constexpr double kSide_m2 = 4.2 * 2.4, kEnd_m2 = 2.4 * 2.4, kTop_m2 = 4.2 * 2.4,
 
 /// Marks all patches that the points of a plane make visible.
 void add_plane(ObservedBoxSurface& surface, int axis, double at_m) {
-    for (double a = -0.99; a < 1.0; a += 0.01) {
+    for (double a = -0.99; a < 1.0; a += 0.01)
         for (double b = -0.99; b < 1.0; b += 0.01) {
             const int first = (axis + 1) % 3, second = (axis + 2) % 3;
             glm::dvec3 point(0.0);
@@ -26,7 +26,6 @@ void add_plane(ObservedBoxSurface& surface, int axis, double at_m) {
             point[second] = 0.5 * b * kSize_m[second];
             surface.mark_patch_of_point_as_observed(point, -point);
         }
-    }
 }
 
 TEST(BoxSurface, OfOneSideItsShareOfTheAreaIsSeen) {

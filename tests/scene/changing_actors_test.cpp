@@ -12,8 +12,8 @@
 namespace relidar {
 namespace {
 
-/// Makes points of a static wall and of a door that opens suddenly, in 20 frames. The
-/// actor moves by 10 cm per frame.
+/// Points of a static wall and of a door that opens suddenly. The actor moves by 10 cm per
+/// frame.
 std::vector<LidarSample> make_points_of_door() {
     std::vector<LidarSample> samples;
     for (int frame = 0; frame < 20; ++frame)
@@ -26,8 +26,7 @@ std::vector<LidarSample> make_points_of_door() {
 
 TEST(ChangingSurfels, ADoorIsOpenOnlyWhenItWasOpen) {
     const DeformingActorSurfels actor = make_surfels_of_deforming_actor(make_points_of_door(), {}, 0.0, 8000);
-    // Returns the highest visibility (M14) of the surfels at a distance y, at the time of
-    // a frame.
+    // Returns the highest visibility (M14) of the surfels at a distance y in a frame.
     const auto visible = [&](double frame, float y) {
         double most = 0.0;
         for (std::size_t i = 0; i < actor.surfels.size(); ++i) {
@@ -49,8 +48,8 @@ TEST(ChangingSurfels, ADoorIsOpenOnlyWhenItWasOpen) {
         << "a single frame does not show a change";
 }
 
-/// A limb moves 10 cm forward in each frame, as far as the actor walks. Half way between
-/// two frames, the surfels of both frames must meet at the exact position of the limb.
+/// A limb moves as far as the actor walks. Between two frames, the surfels of both must
+/// meet at its exact position.
 TEST(ChangingSurfels, ALimbMovesBetweenFrames) {
     std::vector<LidarSample> samples;
     for (int frame = 0; frame < 20; ++frame)
@@ -71,8 +70,7 @@ TEST(ChangingSurfels, ALimbMovesBetweenFrames) {
     EXPECT_GT(n_visible, 20);
 }
 
-/// An actor that stops in all frames must be rigid, because its walked distance is
-/// constant and cannot drive the motion of its limbs.
+/// The walked distance is constant and cannot drive a motion.
 TEST(ChangingSurfels, AnActorThatStandsIsRigid) {
     std::vector<LidarSample> samples = make_points_of_door();
     for (LidarSample& sample : samples) sample.walked_m = 0.0f;

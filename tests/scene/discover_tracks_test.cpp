@@ -16,6 +16,7 @@ struct Street {
     LidarSequence log;            ///< log without boxes
     std::vector<BoxTrack> truth;  ///< true boxes that move
     TrainTestSplit split;
+    std::vector<BoxTrack> discover() const { return discover_moving_object_tracks(log, split.train); }
 };
 
 Street make_street_without_labels() {
@@ -28,8 +29,7 @@ Street make_street_without_labels() {
     return street;
 }
 
-/// Returns the discovered track whose centre lies inside a true box in the middle of
-/// their common time.
+/// Returns the track whose centre lies inside a true box in the middle of their time.
 const BoxTrack* fingerprint_of(const std::vector<BoxTrack>& tracks, const BoxTrack& truth) {
     for (const BoxTrack& track : tracks) {
         const double from =
@@ -46,16 +46,14 @@ const BoxTrack* fingerprint_of(const std::vector<BoxTrack>& tracks, const BoxTra
 TEST(DiscoverTracks, FindsEveryCarAndNothingElse) {
     const Street street = make_street_without_labels();
     ASSERT_GE(street.truth.size(), 2u);
-    const std::vector<BoxTrack> discovered_tracks =
-        discover_moving_object_tracks(street.log, street.split.train);
+    const std::vector<BoxTrack> discovered_tracks = street.discover();
     EXPECT_EQ(discovered_tracks.size(), street.truth.size());
     for (const BoxTrack& truth : street.truth) {
         const BoxTrack* track = fingerprint_of(discovered_tracks, truth);
         ASSERT_NE(track, nullptr) << "box " << truth.id;
         EXPECT_EQ(track->category, kDiscoveredCategory);
         EXPECT_GE(track->world_from_box.time_s.size(), 6u);
-        // Box and car move as a rigid body, so the true box must have a constant position
-        // in the frame of the discovered box.
+        // Box and car move as a rigid body.
         std::vector<glm::dvec3> relative_positions_m;
         for (std::size_t i = 0; i < track->world_from_box.time_s.size(); ++i) {
             const double t_s = track->world_from_box.time_s[i];
@@ -77,8 +75,7 @@ TEST(DiscoverTracks, FindsEveryCarAndNothingElse) {
     }
 }
 
-/// Removes the labels of a box except in some frames.
-/// @return times of the removed labels
+/// Removes the labels of a box except in some frames. Returns the times of the others.
 std::vector<double> cut_labels(BoxTrack& box, const std::vector<LidarFrame>& frames, std::size_t first,
                                std::size_t end) {
     const BoxTrack original_box = box;
@@ -96,8 +93,7 @@ std::vector<double> cut_labels(BoxTrack& box, const std::vector<LidarFrame>& fra
     return cut_s;
 }
 
-/// Labels from camera images start and end at the border of the image. The discovery must
-/// extend the track of a labelled box before and after its labels.
+/// Labels from camera images start and end at the border of the image.
 TEST(DiscoverTracks, ContinuesALabelledBoxBesideItsLabels) {
     for (const auto& [first, end] : {std::pair<std::size_t, std::size_t>{0, 10}, {14, 24}, {8, 16}}) {
         Street street = make_street_without_labels();
@@ -105,8 +101,7 @@ TEST(DiscoverTracks, ContinuesALabelledBoxBesideItsLabels) {
         // uses the oncoming car, because only the rear of the leading car is visible
         const BoxTrack& truth = street.truth[1];
         const std::vector<double> cut_s = cut_labels(street.log.boxes[1], street.log.frames, first, end);
-        const std::vector<BoxTrack> discovered_tracks =
-            discover_moving_object_tracks(street.log, street.split.train);
+        const std::vector<BoxTrack> discovered_tracks = street.discover();
         ASSERT_EQ(discovered_tracks.size(), 1u) << "no second actor; labels " << first << " to " << end;
         const BoxTrack& box = discovered_tracks[0];
         EXPECT_EQ(box.id, truth.id);
@@ -142,8 +137,7 @@ TEST(DiscoverTracks, JoinsPartsAroundAGap) {
                     truth.contains_point(w.point_m, w.time_s, 0.1))
                     frame.scan.range_m[ray] = frame.scan.intensity[ray] = 0.0f;
     }
-    const std::vector<BoxTrack> discovered_tracks =
-        discover_moving_object_tracks(street.log, street.split.train);
+    const std::vector<BoxTrack> discovered_tracks = street.discover();
     EXPECT_EQ(discovered_tracks.size(), street.truth.size());
     const BoxTrack* track = fingerprint_of(discovered_tracks, truth);
     ASSERT_NE(track, nullptr);
@@ -151,12 +145,9 @@ TEST(DiscoverTracks, JoinsPartsAroundAGap) {
     EXPECT_GT(track->world_from_box.time_s.back(), street.log.frames[18].time_s);
 }
 
-/// Only the rear of the leading car is visible. Its length must be estimated from its
-/// class.
 TEST(DiscoverTracks, GuessesTheLengthOfWhatShowsItsRearAlone) {
     const Street street = make_street_without_labels();
-    const std::vector<BoxTrack> discovered_tracks =
-        discover_moving_object_tracks(street.log, street.split.train);
+    const std::vector<BoxTrack> discovered_tracks = street.discover();
     const BoxTrack *ahead = fingerprint_of(discovered_tracks, street.truth[0]),
                    *oncoming = fingerprint_of(discovered_tracks, street.truth[1]);
     ASSERT_TRUE(ahead && oncoming);
@@ -172,9 +163,8 @@ TEST(DiscoverTracks, GuessesTheLengthOfWhatShowsItsRearAlone) {
     }
 }
 
-/// All objects must be discovered if any LiDAR of the log observes them. The second LiDAR
-/// has all returns. The first LiDAR has few returns on the objects in the first case, and
-/// all returns in the second case.
+/// The second LiDAR has all returns. The first LiDAR has few returns on the objects in the
+/// first case, and all returns in the second case.
 TEST(DiscoverTracks, FindsWhatAnyLidarOfARigSees) {
     for (const bool first_frame_is_complete : {false, true}) {
         Street street = make_street_without_labels();
@@ -204,11 +194,10 @@ TEST(DiscoverTracks, FindsWhatAnyLidarOfARigSees) {
 TEST(DiscoverTracks, LeavesLabelledAndRestingThingsAlone) {
     Street street = make_street_without_labels();
     street.log.boxes = street.truth;
-    EXPECT_TRUE(discover_moving_object_tracks(street.log, street.split.train).empty());
+    EXPECT_TRUE(street.discover().empty());
 }
 
-/// Objects that are static while they have labels must not be discovered as moving,
-/// although their labels end early.
+/// Objects that are static while they have labels must not be discovered as moving.
 TEST(DiscoverTracks, NothingMovesThatAStillLabelCovers) {
     Street street = make_street_without_labels();
     BoxTrack still{
@@ -218,11 +207,10 @@ TEST(DiscoverTracks, NothingMovesThatAStillLabelCovers) {
         still.world_from_box.pose.push_back({});
     }
     street.log.boxes = {still};
-    EXPECT_TRUE(discover_moving_object_tracks(street.log, street.split.train).empty());
+    EXPECT_TRUE(street.discover().empty());
 }
 
-/// Simulates a roof rack: returns at the same position relative to the sensor in every
-/// scan. They must not be discovered as an object.
+/// A roof rack: returns at the same position relative to the sensor in every scan.
 TEST(DiscoverTracks, LeavesItsOwnVehicleAlone) {
     Street street = make_street_without_labels();
     for (LidarFrame& frame : street.log.frames)
@@ -231,20 +219,18 @@ TEST(DiscoverTracks, LeavesItsOwnVehicleAlone) {
             if (d.x < -0.6f && d.y > 0.2f && d.y < 0.5f && d.z > -0.35f && d.z < -0.15f)
                 frame.scan.range_m[i] = 1.3f;
         }
-    EXPECT_EQ(discover_moving_object_tracks(street.log, street.split.train).size(), street.truth.size());
+    EXPECT_EQ(street.discover().size(), street.truth.size());
 }
 
 TEST(DiscoverTracks, LooksAtTrainingFramesOnly) {
     Street street = make_street_without_labels();
-    const std::vector<BoxTrack> before = discover_moving_object_tracks(street.log, street.split.train);
+    const std::vector<BoxTrack> before = street.discover();
     for (float& range : street.log.frames[10].scan.range_m) range = 5.0f;
-    const std::vector<BoxTrack> after = discover_moving_object_tracks(street.log, street.split.train);
+    const std::vector<BoxTrack> after = street.discover();
     ASSERT_EQ(before.size(), after.size());
     for (std::size_t i = 0; i < before.size(); ++i) {
         ASSERT_EQ(before[i].world_from_box.time_s, after[i].world_from_box.time_s);
-        EXPECT_EQ(std::count(before[i].world_from_box.time_s.begin(), before[i].world_from_box.time_s.end(),
-                             street.log.frames[10].time_s),
-                  0);
+        EXPECT_EQ(std::ranges::count(before[i].world_from_box.time_s, street.log.frames[10].time_s), 0);
         for (std::size_t k = 0; k < before[i].world_from_box.pose.size(); ++k)
             EXPECT_EQ(before[i].world_from_box.pose[k].translation,
                       after[i].world_from_box.pose[k].translation);
@@ -256,8 +242,7 @@ TEST(DiscoverTracks, BecomeActors) {
     SceneInitialisationOptions options;
     options.unlabelled_movers = UnlabelledMoverPolicy::actors;
     options.actor_min_points = 20;
-    for (const BoxTrack& box : discover_moving_object_tracks(street.log, street.split.train))
-        street.log.boxes.push_back(box);
+    street.log.boxes = street.discover();
     EXPECT_EQ(initialise_scene(street.log, street.split.train, options).models.size(),
               1 + street.truth.size());
     options.unlabelled_movers = UnlabelledMoverPolicy::removed;

@@ -1,7 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests the initialisation of the background with a synthetic street. Surfels must lie on
-// surfaces with the right normals, use training frames only, and exclude moving boxes.
-// Moving objects without labels must be removed by visibility.
+// Tests the initialisation of the background with a synthetic street.
 #include <gtest/gtest.h>
 
 #include <algorithm>
@@ -52,23 +50,33 @@ TEST(Initialise, GroundSurfelsLieOnTheGroundAndFaceUp) {
     }
 }
 
-/// Initial surfels must become darker at grazing incidence. The scan shows flat ground of
-/// a single albedo from a height of 2 m. Its intensity is 0.4 (0.3 + 0.7 cos), which SH
-/// degree 1 represents exactly.
-TEST(Initialise, IntensityFallsWithIncidenceFromTheStart) {
-    LidarSequence ground;
-    for (int b = 0; b < 64; ++b) ground.lidars[0].sensor.beams.push_back({.elevation_rad = -0.5 - 0.01 * b});
-    ground.lidars[0].sensor.columns = 720;
-    ground.rolling_shutter = false;
-    ground.world_from_vehicle = {{0.0}, {{}}};
-    ground.intensity_response.incidence = 0.7;
-    LidarFrame frame{0, 0.0, {make_rays(ground.lidars[0].sensor), {}, {}}};
+/// Returns the surfels of one scan of a LiDAR at the origin.
+Surfels initialise_scan(int n_beams, double top_rad, int columns, double incidence,
+                        const SceneInitialisationOptions& options,
+                        const std::function<float(const glm::vec3& direction)>& range_m,
+                        const std::function<float(const glm::vec3& direction)>& intensity) {
+    LidarSequence sequence;
+    SpinningSensor& sensor = sequence.lidars[0].sensor;
+    for (int b = 0; b < n_beams; ++b) sensor.beams.push_back({.elevation_rad = top_rad - 0.01 * b});
+    sensor.columns = columns;
+    sequence.rolling_shutter = false;
+    sequence.world_from_vehicle = {{0.0}, {{}}};
+    sequence.intensity_response.incidence = incidence;
+    LidarFrame frame{0, 0.0, {make_rays(sensor), {}, {}}};
     for (const glm::vec3& d : frame.scan.rays.direction) {
-        frame.scan.range_m.push_back(-2.0f / d.z);
-        frame.scan.intensity.push_back(0.4f * (0.3f - 0.7f * d.z));
+        frame.scan.range_m.push_back(range_m(d));
+        frame.scan.intensity.push_back(intensity(d));
     }
-    ground.frames.push_back(frame);
-    const Surfels surfels = initialise_background(ground, {0}, {});
+    sequence.frames.push_back(frame);
+    return initialise_background(sequence, {0}, options);
+}
+
+/// Flat ground of a single albedo, from a height of 2 m. Its intensity is 0.4 (0.3 + 0.7
+/// cos), which SH degree 1 represents exactly.
+TEST(Initialise, IntensityFallsWithIncidenceFromTheStart) {
+    const Surfels surfels = initialise_scan(
+        64, -0.5, 720, 0.7, {}, [](const glm::vec3& d) { return -2.0f / d.z; },
+        [](const glm::vec3& d) { return 0.4f * (0.3f - 0.7f * d.z); });
     std::vector<float> worst;
     for (std::size_t i = 0; i < surfels.size(); ++i) {
         const float* sh = surfels.sh.data() + i * 48;
@@ -83,25 +91,14 @@ TEST(Initialise, IntensityFallsWithIncidenceFromTheStart) {
     EXPECT_LT(worst[worst.size() * 95 / 100], 0.02f) << "normals of a few rays are not quite upright";
 }
 
-/// Makes a scan with ranges from a function. Returns the mean of |n . d| over its
-/// surfels, where d is the direction from the sensor to the surfel and n is the normal.
+/// Returns the mean of |n . d| over the surfels of a scan, where d is the direction to the
+/// surfel and n is the normal.
 double compute_mean_facing(const std::function<float(const glm::vec3& direction)>& range_m, double flatness) {
-    LidarSequence sequence;
-    for (int b = 0; b < 48; ++b)
-        sequence.lidars[0].sensor.beams.push_back({.elevation_rad = -0.1 - 0.01 * b});
-    sequence.lidars[0].sensor.columns = 628;
-    sequence.rolling_shutter = false;
-    sequence.world_from_vehicle = {{0.0}, {{}}};
-    LidarFrame frame{0, 0.0, {make_rays(sequence.lidars[0].sensor), {}, {}}};
-    for (const glm::vec3& d : frame.scan.rays.direction) {
-        frame.scan.range_m.push_back(range_m(d));
-        frame.scan.intensity.push_back(0.5f);
-    }
-    sequence.frames.push_back(frame);
     SceneInitialisationOptions options;
     options.normal_neighbours = 24;
     options.flatness = flatness;
-    const Surfels surfels = initialise_background(sequence, {0}, options);
+    const Surfels surfels =
+        initialise_scan(48, -0.1, 628, 0.0, options, range_m, [](const glm::vec3&) { return 0.5f; });
     double sum = 0.0;
     for (std::size_t i = 0; i < surfels.size(); ++i)
         sum += double(std::abs(glm::dot(normal_of(surfels.rotation[i]), glm::normalize(surfels.mean[i]))));
@@ -132,8 +129,7 @@ std::size_t count_in_moving_boxes(const LidarSequence& street, const Surfels& su
     return n;
 }
 
-/// In a static street, no surfel may be removed as moving, neither for a spinning LiDAR
-/// nor for LiDARs without beams.
+/// No surfel may be removed as moving, neither for a spinning LiDAR nor without beams.
 TEST(Initialise, AStreetThatStandsStillStays) {
     const std::string rig =
         test::write_rig(std::filesystem::path(testing::TempDir()) / "relidar_initialise_rig");
@@ -152,9 +148,8 @@ TEST(Initialise, AStreetThatStandsStillStays) {
     }
 }
 
-/// Ground between uneven beams must not be removed as moving. The lower beams of a
-/// VLP-32C are up to 9 degrees apart. The ground between two beams is nearer than the
-/// return of the upper beam, although the upper ray did not pass through this ground.
+/// The lower beams of a VLP-32C are up to 9 degrees apart. The ground between two beams is
+/// nearer than the return of the upper beam, which did not pass through this ground.
 TEST(Initialise, UnevenBeamsDoNotSeeThroughTheGround) {
     const std::filesystem::path rig = std::filesystem::path(testing::TempDir()) / "relidar_uneven_beams.json";
     std::ofstream(rig) << R"({"sensors": [{"name": "top", "sensor": "vlp-32c"}]})";

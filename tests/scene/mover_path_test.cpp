@@ -26,13 +26,10 @@ TEST(MoverPath, KeepsConstantAcceleration) {
     const std::vector<KinematicState> path = smooth_path(times, positions_m);
     for (std::size_t k = 0; k < times.size(); ++k) {
         EXPECT_LT(glm::distance(path[k].position_m, positions_m[k]), 0.01) << k;
-        EXPECT_LT(glm::distance(path[k].velocity_mps, glm::dvec3(-3.0 + 1.6 * times[k], 5.0, 0.1)), 0.05)
-            << k;
+        EXPECT_LT(glm::distance(path[k].velocity_mps, glm::dvec3(-3.0 + 1.6 * times[k], 5.0, 0.1)), 0.05);
         const double later = times[k] + 0.05;
-        EXPECT_LT(
-            glm::distance(path[k].predict_position_after(0.05),
-                          glm::dvec3(20.0 - 3.0 * later + 0.8 * later * later, 5.0 * later, 0.1 * later)),
-            0.02);
+        const glm::dvec3 truth(20.0 - 3.0 * later + 0.8 * later * later, 5.0 * later, 0.1 * later);
+        EXPECT_LT(glm::distance(path[k].predict_position_after(0.05), truth), 0.02);
     }
 }
 

@@ -22,10 +22,5 @@ TEST(ObjectKind, IsTheSameInEveryDataset) {
         EXPECT_EQ(parse_object_kind(word), ObjectKind::other) << word;
 }
 
-TEST(ObjectKind, HasTheNameThatSettingsUse) {
-    EXPECT_STREQ(get_name(ObjectKind::vehicle), "vehicle");
-    EXPECT_STREQ(get_name(ObjectKind::other), "other");
-}
-
 }  // namespace
 }  // namespace relidar

@@ -1,8 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Tests surfels that are computed from the points of scan lines. Discs must reach across
-// the gaps between lines and lie in the surface, although a single line does not
-// determine the surface. Discs must stay round if points are evenly spaced, or if lines
-// belong to different surfaces or are too far apart.
+// the gaps between lines and lie in the surface, or stay round.
 #include "scene/point_surfels.hpp"
 
 #include <cmath>
@@ -25,8 +23,8 @@ SceneInitialisationOptions make_standard_options() {
     return options;
 }
 
-/// Returns the points of lines along y at several x, with 41 points each, heights from
-/// `height`, and noise of 1 mm. The sensor views the lines from the side and from above.
+/// Returns the points of lines along y at several x, with heights and noise of 1 mm. The
+/// sensor views the lines from the side and from above.
 std::vector<LidarSample> make_lines_at(const std::vector<double>& places,
                                        const std::function<double(double)>& height) {
     Random random(1);
@@ -42,14 +40,19 @@ std::vector<LidarSample> make_lines_at(const std::vector<double>& places,
     return samples;
 }
 
+Surfels make_surfels(const std::vector<LidarSample>& samples,
+                     const SceneInitialisationOptions& options = make_standard_options()) {
+    return make_surfels_from_points(samples, options, 0.0);
+}
+double level(double) { return 0.0; }
+
 std::vector<double> places(int count, double apart) {
     std::vector<double> x;
     for (int k = 0; k < count; ++k) x.push_back(apart * (k - count / 2));
     return x;
 }
 
-/// Shape of the surfel nearest to a position: standard deviations along x and y in units
-/// of the point spacing, and the normal.
+/// Shape of a surfel: standard deviations along x and y in point spacings, and the normal.
 struct Disc {
     double along_x = 0.0, along_y = 0.0;
     glm::dvec3 normal;
@@ -71,10 +74,7 @@ Disc make_disc_at(const Surfels& surfels, const glm::vec3& place) {
 
 TEST(PointSurfels, ReachAcrossGapsBetweenLines) {
     for (const double apart : {0.35, 0.5, 0.7}) {
-        const auto ground = [](double) { return 0.0; };
-        const Disc disc = make_disc_at(
-            make_surfels_from_points(make_lines_at(places(7, apart), ground), make_standard_options(), 0.0),
-            {});
+        const Disc disc = make_disc_at(make_surfels(make_lines_at(places(7, apart), level)), {});
         EXPECT_NEAR(disc.along_x, apart / kSpacing, 0.05 * apart / kSpacing) << apart;
         EXPECT_NEAR(disc.along_y, 1.0, 0.4) << apart;
         EXPECT_GT(std::abs(disc.normal.z), 0.999) << apart;
@@ -84,13 +84,11 @@ TEST(PointSurfels, ReachAcrossGapsBetweenLines) {
 TEST(PointSurfels, AreRoundByThemselves) {
     SceneInitialisationOptions options = make_standard_options();
     options.max_gap_m = 0.0;
-    const Surfels surfels =
-        make_surfels_from_points(make_lines_at(places(7, 0.5), [](double) { return 0.0; }), options, 0.0);
+    const Surfels surfels = make_surfels(make_lines_at(places(7, 0.5), level), options);
     for (const glm::vec2& scale : surfels.log_scale) EXPECT_EQ(scale.x, scale.y);
 }
 
-/// Surfels must be round if points are evenly spaced. Each cell has a random point in its
-/// inner half, like points that are averaged over voxels.
+/// Each cell has a random point in its inner half, like points averaged over voxels.
 TEST(PointSurfels, AreRoundWherePointsAreEven) {
     Random random(2);
     std::vector<LidarSample> samples;
@@ -102,24 +100,23 @@ TEST(PointSurfels, AreRoundWherePointsAreEven) {
                                0.5f,
                                {0.8f, 0.0f, -0.6f}});
         }
-    const Surfels surfels = make_surfels_from_points(samples, make_standard_options(), 0.0);
+    const Surfels surfels = make_surfels(samples);
     double stretched = 0.0;
     for (const glm::vec2& scale : surfels.log_scale) stretched += scale.x != scale.y ? 1.0 : 0.0;
     EXPECT_LT(stretched / double(samples.size()), 0.02);
 }
 
-/// The search must widen if the nearest points lie on a single line. Lines are 1.5 m
-/// apart, so that the 24 nearest neighbours of a point belong to one line. Only a wider
-/// search shows that the ground is level.
+/// Lines are so far apart that the 24 nearest neighbours of a point belong to one line. Only
+/// a wider search shows that the ground is level.
 TEST(PointSurfels, OneLineAsksFartherForItsSurface) {
     SceneInitialisationOptions options = make_standard_options();
     options.max_gap_m = 2.0;
-    const std::vector<LidarSample> samples = make_lines_at(places(5, 1.5), [](double) { return 0.0; });
-    const Disc disc = make_disc_at(make_surfels_from_points(samples, options, 0.0), {});
+    const std::vector<LidarSample> samples = make_lines_at(places(5, 1.5), level);
+    const Disc disc = make_disc_at(make_surfels(samples, options), {});
     EXPECT_GT(std::abs(disc.normal.z), 0.999);
     EXPECT_NEAR(disc.along_x, 15.0, 1.0);
     options.max_gap_m = 0.0;
-    EXPECT_LT(std::abs(make_disc_at(make_surfels_from_points(samples, options, 0.0), {}).normal.z), 0.9)
+    EXPECT_LT(std::abs(make_disc_at(make_surfels(samples, options), {}).normal.z), 0.9)
         << "the test shows nothing";
 }
 
@@ -128,16 +125,14 @@ TEST(PointSurfels, DoNotReachToAnotherSurface) {
     const auto steps = [](double value) { return value > 0.1 ? 0.5 : 0.0; };
     const std::vector<LidarSample> samples =
         make_lines_at({-0.6, -0.5, -0.4, -0.3, -0.2, -0.1, 0.0, 0.5, 0.6}, steps);
-    const Disc disc = make_disc_at(make_surfels_from_points(samples, make_standard_options(), 0.0), {});
+    const Disc disc = make_disc_at(make_surfels(samples), {});
     EXPECT_LT(disc.along_x, 1.6);
 }
 
-/// A disc must not extend above the uppermost line. No ray observed this space, so
-/// training could not correct the disc.
+/// No ray observed the space above the uppermost line, so training could not correct the
+/// disc.
 TEST(PointSurfels, DoNotReachBeyondTheLastLine) {
-    const std::vector<LidarSample> samples =
-        make_lines_at({-1.5, -1.0, -0.5, 0.0}, [](double) { return 0.0; });
-    const Surfels surfels = make_surfels_from_points(samples, make_standard_options(), 0.0);
+    const Surfels surfels = make_surfels(make_lines_at({-1.5, -1.0, -0.5, 0.0}, level));
     EXPECT_LT(make_disc_at(surfels, {}).along_x, 1.6);
     EXPECT_NEAR(make_disc_at(surfels, {-0.5f, 0.0f, 0.0f}).along_x, 5.0, 0.5);
 }
@@ -149,15 +144,10 @@ TEST(PointSurfels, DoNotReachFartherThanTheyMay) {
         x.push_back(-kSpacing * k);
         x.push_back(0.6 + kSpacing * k);
     }
-    const auto ground = [](double) { return 0.0; };
-    EXPECT_NEAR(
-        make_disc_at(make_surfels_from_points(make_lines_at(x, ground), make_standard_options(), 0.0), {})
-            .along_x,
-        6.0, 0.5);
+    EXPECT_NEAR(make_disc_at(make_surfels(make_lines_at(x, level)), {}).along_x, 6.0, 0.5);
     SceneInitialisationOptions options = make_standard_options();
     options.max_gap_m = 0.5;
-    EXPECT_LT(make_disc_at(make_surfels_from_points(make_lines_at(x, ground), options, 0.0), {}).along_x,
-              1.6);
+    EXPECT_LT(make_disc_at(make_surfels(make_lines_at(x, level), options), {}).along_x, 1.6);
 }
 
 }  // namespace

@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests surfels as PLY. Written values must be read back unchanged, and the layout must
-// be the layout of 3D Gaussian Splatting. Files edited by external tools must be
-// readable. Invalid files must be rejected with an error of a single line.
+// Tests surfels as PLY: bit-equal values, the layout of 3D Gaussian Splatting, files that
+// external tools have edited, and invalid files.
 #include <relidar/scene/surfel_ply.hpp>
 
 #include <cmath>
@@ -9,6 +8,7 @@
 #include <functional>
 #include <limits>
 #include <random>
+#include <tuple>
 
 #include <fmt/format.h>
 
@@ -21,8 +21,7 @@ namespace {
 
 using SurfelPly = TemporaryFolder;
 
-// Properties per surfel: 3 + 3 + 3 + 45 + 1 + 3 + 4 of the layout of 3D Gaussian
-// Splatting, then 16 + 16 + 1 of relidar
+// 3 + 3 + 3 + 45 + 1 + 3 + 4 of 3D Gaussian Splatting, 16 + 16 + 1 of relidar
 constexpr std::size_t kProperties = 95;
 
 /// Returns three models with values of all magnitudes and both zeros. A model is empty.
@@ -63,12 +62,17 @@ void expect_equal(const Scene& first, const Scene& second) {
     expect_bits(first.surfels.log_scale_w, second.surfels.log_scale_w, "log_scale_w");
     ASSERT_EQ(first.models.size(), second.models.size());
     for (std::size_t k = 0; k < first.models.size(); ++k) {
-        EXPECT_EQ(first.models[k].name, second.models[k].name);
-        EXPECT_EQ(first.models[k].first, second.models[k].first);
-        EXPECT_EQ(first.models[k].count, second.models[k].count);
+        const SurfelModel &a = first.models[k], &b = second.models[k];
+        EXPECT_EQ(std::tuple(a.name, a.first, a.count), std::tuple(b.name, b.first, b.count));
     }
     ASSERT_EQ(first.instances.size(), second.instances.size());
     EXPECT_EQ(first.sensor_drop.probability, second.sensor_drop.probability);
+}
+
+/// Reads a file of the scene, without its surfels.
+Scene read_edited(const std::filesystem::path& file, const Scene& scene,
+                  PrimitiveType primitive = PrimitiveType::surfel) {
+    return read_surfel_ply(file, copy_scene_without_surfels(scene), primitive);
 }
 
 /// Header and records of a written file.
@@ -94,7 +98,7 @@ struct Parts {
 TEST_F(SurfelPly, ComesBackBitEqual) {
     const Scene scene = make_some_scene();
     write_surfel_ply(folder / "a.ply", scene);
-    expect_equal(read_surfel_ply(folder / "a.ply", copy_scene_without_surfels(scene)), scene);
+    expect_equal(read_edited(folder / "a.ply", scene), scene);
     const Scene empty = make_background_scene({});
     write_surfel_ply(folder / "b.ply", empty);
     expect_equal(read_surfel_ply(folder / "b.ply", empty), empty);
@@ -107,17 +111,14 @@ TEST_F(SurfelPly, GaussiansHaveTheirThirdScale) {
     scene.surfels.primitive = PrimitiveType::gaussian;
     for (std::size_t i = 0; i < 7; ++i) scene.surfels.log_scale_w.push_back(-0.1f - float(i) / 7.0f);
     write_surfel_ply(folder / "a.ply", scene);
-    expect_equal(
-        read_surfel_ply(folder / "a.ply", copy_scene_without_surfels(scene), PrimitiveType::gaussian), scene);
-    EXPECT_TRUE(
-        read_surfel_ply(folder / "a.ply", copy_scene_without_surfels(scene)).surfels.log_scale_w.empty());
+    expect_equal(read_edited(folder / "a.ply", scene, PrimitiveType::gaussian), scene);
+    EXPECT_TRUE(read_edited(folder / "a.ply", scene).surfels.log_scale_w.empty());
     Parts file(read_contents(folder / "a.ply"));
     for (std::size_t i = 0; i < 7; ++i) EXPECT_EQ(file.value(i, 57), scene.surfels.log_scale_w[i]);
     file.replace("property float scale_2\n", "property float thick_2\n");
     put(folder / "b.ply", file.header + file.data);
-    const std::string message = get_data_error_message([&] {
-        (void)read_surfel_ply(folder / "b.ply", copy_scene_without_surfels(scene), PrimitiveType::gaussian);
-    });
+    const std::string message =
+        get_data_error_message([&] { (void)read_edited(folder / "b.ply", scene, PrimitiveType::gaussian); });
     EXPECT_THAT(message, test::Names("property scale_2 ... missing"));
 }
 
@@ -158,8 +159,7 @@ TEST_F(SurfelPly, HasTheLayoutOfGaussianSplatting) {
     }
 }
 
-/// A file that an external tool has edited must be readable. The tool cropped the scene,
-/// changed the order, removed the normals and added a property.
+/// The tool cropped the scene, changed the order, removed the normals and added properties.
 TEST_F(SurfelPly, ReadsWhatAnotherToolEdited) {
     const Scene scene = make_some_scene();
     write_surfel_ply(folder / "a.ply", scene);
@@ -174,15 +174,14 @@ TEST_F(SurfelPly, ReadsWhatAnotherToolEdited) {
     file.replace("element vertex 7", "element vertex 4\nproperty uchar flag\nproperty char other");
     for (const char* name : {"nx", "ny", "nz"}) file.replace(fmt::format("property float {}\n", name), "");
     put(folder / "b.ply", file.header + data);
-    const Scene read = read_surfel_ply(folder / "b.ply", copy_scene_without_surfels(scene));
+    const Scene read = read_edited(folder / "b.ply", scene);
     Scene expected = copy_scene_without_surfels(scene);
     expected.surfels = scene.surfels.reorder({0, 2, 6, 5});
     expected.models = {{"background", 0, 2}, {"empty", 2, 0}, {"7", 2, 2}};
     expect_equal(read, expected);
 }
 
-/// Names of the properties that editors of 3D Gaussian splats keep, in the order of such
-/// an editor.
+/// Names of the properties that editors keep, in the order of such an editor.
 std::vector<std::string> list_usual_properties(int n_rest) {
     std::vector<std::string> names{"x",     "y",     "z",     "f_dc_0", "f_dc_1",  "f_dc_2",  "opacity",
                                    "rot_0", "rot_1", "rot_2", "rot_3",  "scale_0", "scale_1", "scale_2"};
@@ -209,7 +208,6 @@ std::string select_from_ply(const std::string& file, const std::vector<std::stri
 }
 
 /// An editor has deleted surfels, changed the order and kept only the usual properties.
-/// The remaining properties must be those of the run.
 TEST_F(SurfelPly, RestoresWhatEditorsDrop) {
     Scene scene = make_some_scene();
     scene.surfels.mean[6] = scene.surfels.mean[2];  // in two models
@@ -241,8 +239,7 @@ TEST_F(SurfelPly, RestoresWhatEditorsDrop) {
     EXPECT_EQ(note, "");
 }
 
-/// Without the property "model", a file cannot show which of two equal actors an editor
-/// has deleted.
+/// The file cannot show which of two equal actors an editor has deleted.
 TEST_F(SurfelPly, RefusesDeletedSurfelsOfEqualModels) {
     Scene scene = make_some_scene();
     scene.surfels = scene.surfels.reorder({0, 1, 2, 3, 4, 5, 2});  // 2 and 6 are in different models
@@ -282,7 +279,7 @@ TEST_F(SurfelPly, ReadsHeadersWithLineEndsOfWindows) {
     std::string header;
     for (const char c : file.header) header += c == '\n' ? std::string("\r\n") : std::string(1, c);
     put(folder / "b.ply", header + file.data);
-    expect_equal(read_surfel_ply(folder / "b.ply", copy_scene_without_surfels(scene)), scene);
+    expect_equal(read_edited(folder / "b.ply", scene), scene);
 }
 
 TEST_F(SurfelPly, RefusesFilesThatLie) {
@@ -299,8 +296,6 @@ TEST_F(SurfelPly, RefusesFilesThatLie) {
         EXPECT_THAT(message, test::Names(pattern));
     };
     refused("found format ascii", [](Parts& p) { p.replace("binary_little_endian", "ascii"); });
-    refused("found format binary_big_endian",
-            [](Parts& p) { p.replace("binary_little_endian", "binary_big_endian"); });
     refused("begin ... \"ply\"", [](Parts& p) { p.header[0] = 'x'; });
     refused("end_header ... missing", [](Parts& p) { p.replace("end_header\n", "end_hea"); });
     refused("drop_3 ... missing", [](Parts& p) { p.replace("drop_3\n", "dropped_3\n"); });
@@ -325,9 +320,7 @@ TEST_F(SurfelPly, RefusesFilesThatLie) {
             [](Parts& p) { p.value(2, 56) = std::numeric_limits<float>::infinity(); });
     for (const float model : {3.0f, -1.0f, 0.5f, 1e30f})
         refused("vertex 1 ... model", [&](Parts& p) { p.value(1, 94) = model; });
-    const std::string missing =
-        get_data_error_message([&] { (void)read_surfel_ply(folder / "nothing.ply", layout); });
-    EXPECT_NE(missing.find("nothing.ply"), std::string::npos) << missing;
+    EXPECT_THROW((void)read_surfel_ply(folder / "nothing.ply", layout), DataError);
 }
 
 TEST_F(SurfelPly, SurfelsInTheWorldAreNotReadBackAsAScene) {
@@ -336,13 +329,9 @@ TEST_F(SurfelPly, SurfelsInTheWorldAreNotReadBackAsAScene) {
                      {{"time_s", "1.5"}, {"add_to_positions_m", "1 2 3\nelement vertex 9"}});
     const std::string bytes = read_contents(folder / "a.ply");
     EXPECT_NE(bytes.find(": metres, world"), std::string::npos);
-    EXPECT_NE(
-        bytes.find(
-            "\ncomment time_s 1.5\ncomment add_to_positions_m 1 2 3 element vertex 9\nelement vertex 7\n"),
-        std::string::npos);
-    const std::string refused =
-        get_data_error_message([&] { (void)read_surfel_ply(folder / "a.ply", scene); });
-    EXPECT_NE(refused.find("model"), std::string::npos) << refused;
+    EXPECT_THAT(bytes, testing::HasSubstr("\ncomment time_s 1.5\ncomment add_to_positions_m 1 2 3 element "
+                                          "vertex 9\nelement vertex 7\n"));
+    EXPECT_THROW((void)read_surfel_ply(folder / "a.ply", scene), DataError);
 }
 
 TEST_F(SurfelPly, RefusesEveryTruncation) {

@@ -8,9 +8,7 @@
 #include "log/registration/odometry.hpp"
 
 #include <algorithm>
-#include <array>
 #include <atomic>
-#include <cmath>
 #include <thread>
 #include <utility>
 

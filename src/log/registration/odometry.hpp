@@ -6,8 +6,6 @@
 #pragma once
 
 #include <functional>
-#include <optional>
-#include <vector>
 
 #include <relidar/base/process_group.hpp>
 

@@ -2,7 +2,6 @@
 #include "log/registration/plane_adjustment.hpp"
 
 #include <algorithm>
-#include <cmath>
 #include <span>
 
 #include "base/parallel.hpp"

@@ -22,8 +22,7 @@ struct PlaneMap {
     const LocalPlane* find_plane_at(const glm::dvec3& point_m) const;
 };
 
-/// Weights of two terms that keep pose corrections small and smooth, relative to the
-/// weight of one measured point.
+/// Weights of terms that keep pose corrections small and smooth, relative to one point.
 struct PoseCorrectionPrior {
     Vector6 pull = Vector6::Zero();  ///< weight of the term that pulls each correction to zero
     /// weight of the term that makes the corrections of two consecutive poses similar;
@@ -33,7 +32,6 @@ struct PoseCorrectionPrior {
 
 class PlanePoseAdjustment {
 public:
-    /// Prepares the optimisation of the poses of a track.
     /// @param initial_track  poses before any correction
     /// @param start  start values of the poses, accurate enough for the first cell size
     /// @param points  points of all sweeps, sweep by sweep
@@ -49,35 +47,30 @@ public:
     std::vector<RegistrationRound> adjust_poses_in_rounds(
         const RegistrationRound& first_round_settings, const RegistrationRound& last_round_settings,
         const std::function<bool(double finished_fraction)>& should_continue);
-    /// Sets weights that keep pose corrections small and smooth.
     void set_pose_correction_prior(const PoseCorrectionPrior& prior) { prior_ = prior; }
     PlaneMap fit_planes_to_all_points(const RegistrationRound& round_settings) const;
     const PoseTrack& track() const { return track_; }
 
-    /// Finds the poses whose registration failed: too few of their points lie on planes,
-    /// or their correction differs from the corrections of both neighbours by more than
-    /// `max_deviation_m`. Replaces these poses, and all poses without points, by
-    /// interpolation between the nearest valid poses.
-    /// @param pose_has_points  [poses] true for the poses that have points
+    /// Replaces poses without points and poses whose registration failed by interpolation.
+    /// Too few points of a failed pose lie on planes, or its correction differs from both
+    /// neighbours by more than `max_deviation_m`.
+    /// @param pose_has_points  [poses]
     /// @return indices of the failed poses
     std::vector<std::size_t> interpolate_and_list_unregistered_poses(const PlaneMap& map,
                                                                      const std::vector<bool>& pose_has_points,
                                                                      double kernel_scale_m,
                                                                      double max_deviation_m);
-    /// Moves one pose by a Gauss-Newton step that moves its points towards fixed planes.
-    /// All other poses stay unchanged.
+    /// Moves one pose by a Gauss-Newton step towards fixed planes.
     void align_pose_to_planes(const PlaneMap& map, std::size_t pose_index,
                               const std::vector<SubsampledPoint>& points, double kernel_scale_m);
     /// Returns true if enough points of a scan lie on planes to determine its pose.
-    /// @param fraction_on_planes share of the points that lie on planes
     static bool has_enough_points_on_planes(double fraction_on_planes, std::size_t n_points);
     /// Returns the share of a scan's points that lie on planes of a map.
     double compute_fraction_on_planes(const PlaneMap& map, std::span<const SubsampledPoint> points,
                                       double kernel_scale_m) const;
-    /// Returns how much the correction of a pose (optimised minus initial position)
-    /// differs from the corrections of its two neighbours, in metres. Compares it with
-    /// the earlier one, the later one, and the interpolation between both. Returns the
-    /// smallest of the three differences, or 0 if one neighbour is missing.
+    /// Returns the smallest difference between the correction of a pose and those of the
+    /// earlier neighbour, the later one, and the interpolation between both, in metres, or
+    /// 0 if one neighbour is missing.
     /// @param is_neighbour  [poses] true for the poses that are used as neighbours
     double compute_deviation_from_neighbours_m(std::size_t pose_index,
                                                const std::vector<bool>& is_neighbour) const;
@@ -93,8 +86,7 @@ private:
     void add_correction_prior(PoseEquations& equations) const;
     void remove_mean_pose_correction();
     void interpolate_corrections(const std::vector<bool>& is_correction_known);
-    /// Returns the nearest earlier and the nearest later pose with `is_selected`. If no
-    /// pose on one side is selected, returns `pose_index` for this side.
+    /// Returns `pose_index` for a side on which no pose is selected.
     static std::pair<std::size_t, std::size_t> find_nearest_selected_poses(
         std::size_t pose_index, const std::vector<bool>& is_selected);
     double compute_time_fraction(std::size_t before_index, std::size_t pose_index,

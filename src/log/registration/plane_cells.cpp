@@ -2,7 +2,6 @@
 #include "log/registration/plane_cells.hpp"
 
 #include <algorithm>
-#include <cmath>
 #include <functional>
 #include <utility>
 
@@ -16,15 +15,13 @@ namespace {
 
 constexpr std::size_t kFewestPoints = 8;
 constexpr int kFits = 4;
-// Points form a plane only if they cover enough of their cell. Minimum standard deviation
-// along the narrower direction of the plane, divided by the cell size.
+// Minimum standard deviation along the narrower direction of the plane / cell size.
 constexpr double kSpread = 0.12;
-// Rejects narrow strips of points, which a single beam produces if poses are wrong.
-// Minimum ratio: standard deviation along the narrower direction of the plane / distance
-// from the plane at which the robust kernel gives a point a weight of 1/4.
+// Minimum ratio of the same to the scale of the robust kernel. Rejects narrow strips, which
+// a single beam produces if poses are wrong.
 constexpr double kSpreadScale = 0.8;
-// Minimum share of inliers. An inlier is closer to the plane than the scale of the robust
-// kernel, which is the distance at which a point has a weight of 1/4.
+// Minimum share of points that are closer to the plane than the scale of the robust kernel,
+// at which a point has a weight of 1/4.
 constexpr double kInliers = 0.7;
 
 glm::dvec3 get_matrix_column(const Eigen::Matrix3d& matrix, int column) {

@@ -14,8 +14,7 @@
 
 namespace relidar {
 
-/// Interpolates cell size and robust-kernel scale geometrically between two rounds.
-/// `fraction` 0 gives `first_round_settings`, 1 gives `last_round_settings`.
+/// Interpolates cell size and scale geometrically between the first round (0) and the last.
 inline RegistrationRound interpolate_round_settings(const RegistrationRound& first_round_settings,
                                                     const RegistrationRound& last_round_settings,
                                                     double fraction) {
@@ -35,9 +34,8 @@ struct LocalPlane {
 /// + r^2 / s^2) (Geman and McClure 1985).
 double compute_robust_weight(double residual_m, double kernel_scale_m);
 
-/// Fits a plane to the points of a cell by iteratively reweighted least squares. Returns
-/// nothing if the points are not spread over a surface, or if too many are far from the
-/// plane.
+/// Fits a plane by iteratively reweighted least squares. Returns nothing if the points are
+/// not spread over a surface, or if too many are far from the plane.
 std::optional<LocalPlane> fit_plane_robustly(const std::vector<WorldPointWithOrigin>& points,
                                              std::span<const std::uint32_t> point_indices, double cell_size_m,
                                              double kernel_scale_m);
@@ -45,7 +43,6 @@ std::optional<LocalPlane> fit_plane_robustly(const std::vector<WorldPointWithOri
 /// Sorts points into the cells of a grid.
 class PointCellGrid {
 public:
-    /// Sorts points by the cells of a grid.
     /// @param shift  offset of the grid in cells, so that successive grids divide
     /// surfaces at different positions
     PointCellGrid(const std::vector<WorldPointWithOrigin>& points, double cell_m, double shift);
@@ -55,8 +52,7 @@ public:
     std::span<const std::uint32_t> get_point_indices_in_cell(std::size_t cell_index) const {
         return {order_.data() + first_[cell_index], first_[cell_index + 1] - first_[cell_index]};
     }
-    /// Returns the index of the cell that contains a point, or nothing if the cell is
-    /// empty.
+    /// Returns nothing if the cell of the point is empty.
     std::optional<std::size_t> find_cell_at(const glm::dvec3& point_m) const;
 
 private:

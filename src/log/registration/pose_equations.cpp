@@ -3,7 +3,6 @@
 
 #include <algorithm>
 #include <array>
-#include <cmath>
 #include <map>
 #include <span>
 #include <utility>
@@ -16,10 +15,9 @@
 namespace relidar {
 namespace {
 
-// Maximum number of solver iterations. Usually 20 to 30 are enough, even for long logs.
+// Usually 20 to 30 are enough, even for long logs.
 constexpr int kMostIterations = 100;
-// Sums over planes run in parallel: at most kParts sums, each over at least kPlanesOfPart
-// planes. The result does not depend on the number of threads.
+// Sums over planes run in parallel: at most kParts sums over at least kPlanesOfPart planes.
 constexpr std::size_t kParts = 64, kPlanesOfPart = 256;
 // The conjugate-gradient solver stops if the residual norm has fallen to this fraction of
 // its initial value. Later Gauss-Newton steps correct the remaining error.
@@ -27,14 +25,12 @@ constexpr double kTolerance = 1e-4;
 
 Eigen::Vector3d to_eigen(const glm::dvec3& vector) { return {vector.x, vector.y, vector.z}; }
 
-/// Returns the indices of the two poses between which a point was measured, each with its
-/// interpolation weight.
+/// Returns the two poses between which a point was measured and their weights.
 std::array<std::pair<std::size_t, double>, 2> get_poses_and_weights_of_point(const SubsampledPoint& point) {
     return {{{point.left, 1.0 - double(point.s)}, {point.left + 1, double(point.s)}}};
 }
 
-/// Returns the derivatives of a point's residual with respect to the three parameters of
-/// its plane: offset and two tilts.
+/// by offset and two tilts of the plane
 Eigen::Vector3d differentiate_residual_by_plane_parameters(const WorldPointWithOrigin& point,
                                                            const LocalPlane& plane) {
     const glm::dvec3 d = point.point_m - plane.point_m;
@@ -125,9 +121,8 @@ void PoseEquations::add_plane_residuals_of_cell(const std::vector<SubsampledPoin
         return couplings_.emplace_back(
             PlanePoseCoupling{static_cast<std::uint32_t>(pose), Eigen::Matrix<float, 6, 3>::Zero()});
     };
-    // Normal matrix of the plane's three unknowns (offset and two tilts), which a Schur
-    // complement eliminates. It must use the same point weights as the pose equations.
-    // Otherwise the Schur complement is not positive definite.
+    // Normal matrix of the plane's three unknowns (offset and two tilts). With other point
+    // weights than in the pose equations, the Schur complement is not positive definite.
     Eigen::Matrix3d stiffness = Eigen::Matrix3d::Zero();
     Eigen::Vector3d pull = Eigen::Vector3d::Zero();
     for (const std::uint32_t i : point_indices) {
@@ -213,15 +208,8 @@ Eigen::VectorXd PoseEquations::multiply_normal_matrix_by(const Eigen::VectorXd& 
     return y;
 }
 
-Vector6 PoseEquations::make_prior_diagonal(double prior_weight) const {
-    Vector6 mean = Vector6::Zero();
-    for (const Matrix6& d : diagonal_) mean += d.diagonal() / double(diagonal_.size());
-    return prior_weight * mean;
-}
-
-/// Equations for groups of poses, a part of the solver's preconditioner. Eight
-/// consecutive poses form a group and move like one rigid body. So a group has only one
-/// translation and one rotation as unknowns.
+/// Equations for groups of eight consecutive poses that move like one rigid body, a part of
+/// the solver's preconditioner.
 class PoseGroupEquations {
 public:
     PoseGroupEquations(const PoseEquations& equations, const PoseTrack& track, const Vector6& pull)
@@ -246,9 +234,8 @@ public:
         factorise_matrix();
     }
 
-    /// Solves for one rigid motion per group of poses. `right_hand_side` (6 values per
-    /// pose) is the right-hand side. Adds a group's motion to each of its poses in
-    /// `pose_steps`.
+    /// Solves for one rigid motion per group of poses, and adds it to each of its poses in
+    /// `pose_steps`. `right_hand_side`: 6 values per pose
     void solve_and_add_pose_group_motions(const Eigen::VectorXd& right_hand_side,
                                           Eigen::VectorXd& pose_steps) const {
         if (solver_.info() != Eigen::Success) return;
@@ -266,8 +253,7 @@ private:
     static constexpr std::size_t kGroup = 8;
 
     const std::size_t n_;
-    // [poses] Eight consecutive poses form a group that moves like one rigid body.
-    // Converts the twist (6 values) of the group to the twist of one pose.
+    // [poses] converts the twist (6 values) of the group to the twist of one pose
     std::vector<Matrix6> carry_;
     std::map<std::pair<std::size_t, std::size_t>, Matrix6> blocks_;  // key: row, column
     Eigen::SimplicialLLT<Eigen::SparseMatrix<double>> solver_;
@@ -307,7 +293,9 @@ Eigen::VectorXd PoseEquations::solve_for_all_pose_steps(const PoseTrack& track,
                                                         const Eigen::VectorXd& current_corrections,
                                                         double prior_weight) const {
     const std::size_t n = diagonal_.size();
-    const Vector6 pull = make_prior_diagonal(prior_weight);
+    Vector6 mean = Vector6::Zero();
+    for (const Matrix6& d : diagonal_) mean += d.diagonal() / double(n);
+    const Vector6 pull = prior_weight * mean;  // quadratic penalty on the correction of each pose
     std::vector<Eigen::LLT<Matrix6>> inverse;
     for (const Matrix6& d : diagonal_)
         inverse.emplace_back(d + Matrix6(pull.asDiagonal()) + 1e-12 * Matrix6::Identity());

@@ -85,9 +85,8 @@ public:
     explicit PoseEquations(std::size_t n_poses);
 
     void add_plane_residual_of_point(const SubsampledPoint& point, const PlaneResidual& plane_residual);
-    /// Adds one residual per point of a grid cell: its distance from the plane of the
-    /// cell. Changes of the plane (offset and two tilts relative to `plane`) are unknowns
-    /// too. A Schur complement eliminates them, so that only poses remain as unknowns.
+    /// Adds the distances of the points of a grid cell from its plane. A Schur complement
+    /// eliminates the changes of the plane (offset and two tilts).
     void add_plane_residuals_of_cell(const std::vector<SubsampledPoint>& points,
                                      const std::vector<WorldPointWithOrigin>& world_points,
                                      std::span<const std::uint32_t> point_indices, const LocalPlane& plane,
@@ -112,10 +111,9 @@ public:
     double compute_rms_residual_m() const { return weight_ > 0.0 ? std::sqrt(cost_ / weight_) : 0.0; }
 
 private:
-    /// Coupling of a plane with one pose that observes it: c = C L^-T. C: 6x3 block of
-    /// the normal matrix for this pose and plane. L: Cholesky factor of the plane's 3x3
-    /// block. Eliminating the plane subtracts c_i c_j^T from block (i, j) of any two such
-    /// poses.
+    /// Coupling c = C L^-T of a plane with one pose. C: 6x3 block of the normal matrix. L:
+    /// Cholesky factor of the plane's 3x3 block. Eliminating the plane subtracts c_i c_j^T
+    /// from block (i, j) of any two poses.
     struct PlanePoseCoupling {
         std::uint32_t pose;
         Eigen::Matrix<float, 6, 3> c;
@@ -128,8 +126,6 @@ private:
     double cost_ = 0.0, weight_ = 0.0;
 
     Eigen::VectorXd multiply_normal_matrix_by(const Eigen::VectorXd& input_vector) const;
-    /// Returns the six weights of a quadratic penalty on the correction of each pose.
-    Vector6 make_prior_diagonal(double prior_weight) const;
     friend class PoseGroupEquations;
 };
 

@@ -6,10 +6,6 @@
 #include <algorithm>
 #include <cmath>
 
-#include <fmt/format.h>
-
-#include <relidar/base/error.hpp>
-
 #include "base/fail.hpp"
 #include "base/median.hpp"
 #include "base/parallel.hpp"

@@ -2,7 +2,6 @@
 #include "log/registration/thin_scans.hpp"
 
 #include <algorithm>
-#include <cmath>
 #include <unordered_set>
 
 #include "base/cell_key.hpp"

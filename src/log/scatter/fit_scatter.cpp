@@ -9,9 +9,6 @@
 #include <functional>
 #include <numeric>
 
-#include <fmt/format.h>
-
-#include <relidar/base/error.hpp>
 #include <relidar/log/scatter.hpp>
 
 #include "base/fail.hpp"

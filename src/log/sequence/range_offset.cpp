@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Estimates the range offset of each beam of a log. The beams are compared on planes that
 // several beams hit.
-#include <algorithm>
 #include <cmath>
 #include <optional>
 #include <span>

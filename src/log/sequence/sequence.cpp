@@ -8,10 +8,7 @@
 #include <complex>
 #include <numeric>
 
-#include <fmt/format.h>
 #include <fmt/ranges.h>
-
-#include <relidar/base/error.hpp>
 
 #include "base/fail.hpp"
 #include "base/parallel.hpp"

@@ -8,9 +8,6 @@
 #include <set>
 #include <string_view>
 
-#include <fmt/format.h>
-
-#include <relidar/base/error.hpp>
 #include "base/csv.hpp"
 #include "base/fail.hpp"
 #include "base/files.hpp"

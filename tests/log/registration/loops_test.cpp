@@ -2,7 +2,6 @@
 // Detects roads that are driven again. One drive goes around a block with drifted
 // odometry. A second drive crosses itself only because its poses are wrong. A third drive
 // follows a street once.
-#include <cmath>
 
 #include <gtest/gtest.h>
 

@@ -1,8 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Compares the Gauss-Newton step of all poses with the same least-squares problem in
 // dense form. The dense problem has unknowns for poses and planes, and a row per point.
-#include <cmath>
-#include <numeric>
 #include <random>
 
 #include <gtest/gtest.h>

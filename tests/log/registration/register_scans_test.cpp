@@ -3,9 +3,7 @@
 // poses with white noise and with drift, held-out scans, an invalid scan, and a
 // correction beyond the limit.
 #include <algorithm>
-#include <cmath>
 #include <random>
-#include <string>
 
 #include <gtest/gtest.h>
 

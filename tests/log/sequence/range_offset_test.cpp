@@ -2,7 +2,6 @@
 // Estimates range offsets of beams and compares them with the exact offsets of simulated
 // sensors.
 #include <cmath>
-#include <numeric>
 
 #include <gtest/gtest.h>
 
