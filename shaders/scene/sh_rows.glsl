@@ -17,8 +17,9 @@ const uint kChannelPitch = 17u;
 shared float staged_channel[gl_WorkGroupSize.x * kChannelPitch];
 shared bool staged_loads[gl_WorkGroupSize.x], staged_stores[gl_WorkGroupSize.x];
 
-/// Sets whether the coefficients of this thread's surfel are loaded and stored. All threads
-/// of the workgroup must call this function, load_sh_channel() and store_sh_channel().
+/// Sets whether the coefficients of this thread's surfel are loaded and stored. All
+/// threads of the workgroup must call this function, load_sh_channel() and
+/// store_sh_channel().
 void set_sh_memory_access(bool loads_coefficients, bool stores_coefficients) {
     if (!STAGED) return;
     staged_loads[gl_LocalInvocationIndex] = loads_coefficients;

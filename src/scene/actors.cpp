@@ -135,7 +135,8 @@ void pad_with_random_samples(std::vector<LidarSample>& samples, std::size_t min_
 }
 
 /// Appends an actor to the scene. Does nothing if the box has too few points.
-/// @param incidence  strength of the dependence on the incidence angle (IntensityResponse)
+/// @param incidence  strength of the dependence on the incidence angle
+/// (IntensityResponse)
 void append_actor_to_scene(Scene& scene, const BoxTrack& box, const std::vector<LidarSample>& samples,
                            const SceneInitialisationOptions& options, double incidence,
                            std::vector<std::string>* notes, const ProgressReporter& progress) {
@@ -170,8 +171,8 @@ void append_actor_to_scene(Scene& scene, const BoxTrack& box, const std::vector<
     scene.surfels.append_surfels(surfels);
 }
 
-/// Returns the distance that an actor has walked at the start of a new track: the distance
-/// at the nearest recorded pose plus the distance from there to the new pose.
+/// Returns the distance that an actor has walked at the start of a new track: the
+/// distance at the nearest recorded pose plus the distance from there to the new pose.
 double compute_walked_distance_at_track_start_m(const BoxTrack& logged_box, const PoseTrack& new_track) {
     const Pose& at = new_track.pose.front();
     const auto compute_distance_m = [&](const Pose& pose) {

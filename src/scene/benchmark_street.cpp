@@ -151,8 +151,8 @@ glm::dvec4 make_wxyz_quaternion_from_axes(const glm::dvec3& x_axis, const glm::d
     return glm::normalize(candidates[best]);
 }
 
-/// The normals scatter around the normals of the rectangles. The rotation about the normal
-/// is uniform.
+/// The normals scatter around the normals of the rectangles. The rotation about the
+/// normal is uniform.
 void sample_random_surfel_rotations(const std::vector<Rectangle>& rectangles,
                                     const std::vector<std::uint16_t>& rectangle_index,
                                     NumpyRandomState& random, Surfels& surfels) {

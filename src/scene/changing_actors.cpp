@@ -32,9 +32,9 @@ constexpr std::size_t kInFrame = 200;
 constexpr std::size_t kFewestChanging = 3;
 // kSmallestSpacing_m is a lower limit for the distance that it walks per frame.
 constexpr double kFewestWalked_m = 0.5, kSmallestSpacing_m = 0.02;
-// An actor repeats its recorded walk in a loop. Ratio (distance walked from the last frame
-// to the repeated first frame) / (mean distance walked per frame). A low ratio would show
-// both frames simultaneously.
+// An actor repeats its recorded walk in a loop. Ratio (distance walked from the last
+// frame to the repeated first frame) / (mean distance walked per frame). A low ratio
+// would show both frames simultaneously.
 constexpr double kFramesBetween = 3.0;
 
 /// Samples of one frame.

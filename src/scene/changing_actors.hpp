@@ -21,7 +21,8 @@ struct DeformingActorSurfels {
 /// Makes surfels that are visible only around the time of their frame and move like the
 /// points of the neighbouring frames. At positions where most frames have a point, the
 /// surfels are always visible and do not move.
-/// @param samples  points in the frame of the box, with the distance that the actor walked
+/// @param samples  points in the frame of the box, with the distance that the actor
+/// walked
 /// @param max_surfels  maximum number of surfels; each frame may still have 200 surfels
 /// @return no surfels and period 0 with fewer than three frames, or if the actor walks
 /// less than half a metre

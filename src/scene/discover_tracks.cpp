@@ -21,8 +21,8 @@
 namespace relidar {
 namespace {
 
-// A second track inside this margin around the box of a person or vehicle is a part of the
-// same object.
+// A second track inside this margin around the box of a person or vehicle is a part of
+// the same object.
 constexpr double kFragment_m = 0.5, kVehicleFragment_m = 1.0;
 // minimum number of points per frame after static points are removed
 constexpr std::size_t kFewestPoints = 5;
@@ -222,9 +222,9 @@ std::vector<BoxTrack> discover_movers_of_lidar(int lidar_index, const LidarSeque
         fit_boxes_of_proven_moving_objects(visibility, tracks, sequence, progress, group));
 }
 
-/// Adds the boxes that another LiDAR found. Of two boxes of an object, prefers the one with
-/// the id of a labelled object. Otherwise keeps the box in `boxes`, unless the other has
-/// more than 1.5 times as many observations.
+/// Adds the boxes that another LiDAR found. Of two boxes of an object, prefers the one
+/// with the id of a labelled object. Otherwise keeps the box in `boxes`, unless the other
+/// has more than 1.5 times as many observations.
 void merge_boxes_of_lidars(std::vector<BoxTrack>& boxes, std::vector<BoxTrack> boxes_of_other_lidar) {
     for (BoxTrack& other : boxes_of_other_lidar) {
         const auto is_same = [&](const BoxTrack& b) {

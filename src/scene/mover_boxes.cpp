@@ -24,8 +24,8 @@ constexpr double kGroundOfBox_m = 0.15;
 constexpr double kSpeedOver_s = 0.5;
 // Number of labels from which the offset between box and visible points is computed.
 constexpr std::size_t kLabelsPerEnd = 10;
-// If the sensor is farther than this outside a box along one axis of the box, it sees only
-// the near end of the object along this axis.
+// If the sensor is farther than this outside a box along one axis of the box, it sees
+// only the near end of the object along this axis.
 constexpr double kBeside_m = 0.5;
 
 /// Position and heading of an object on the ground. They define the frame of the object.
@@ -66,8 +66,8 @@ std::vector<GroundPose> compute_ground_poses(const std::vector<KinematicState>& 
     return placed;
 }
 
-/// Returns the interval that the points of an observation cover along an axis, without the
-/// outermost 0.5 % of the points at each end.
+/// Returns the interval that the points of an observation cover along an axis, without
+/// the outermost 0.5 % of the points at each end.
 std::pair<double, double> compute_cluster_extent_along_axis(const MoverCluster& cluster,
                                                             const glm::dvec3& axis) {
     std::vector<double> values;
@@ -161,8 +161,8 @@ std::pair<glm::dvec3, glm::dvec3> compute_bounding_corners(const MoverTrack& tra
 
 /// Typical size of an object of which only one side is visible. Passenger cars are 3.6 to
 /// 5 m long and 1.6 to 1.9 m wide. A bicycle is 1.8 m long and its rider 0.6 m wide. The
-/// length of a truck or a bus cannot be estimated from its rear. A longer truck would also
-/// show its side.
+/// length of a truck or a bus cannot be estimated from its rear. A longer truck would
+/// also show its side.
 struct TypicalObjectSize {
     const char* name;
     double length_m, width_m;

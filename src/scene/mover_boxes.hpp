@@ -15,8 +15,9 @@ namespace relidar {
 /// near the sensor is measured reliably in each frame.
 BoxTrack fit_box_to_track(const MoverTrack& track);
 
-/// Enlarges a box if only one side of its object was visible: away from the sensor, to the
-/// typical size of a car, a truck or a cyclist. Stores the name of this kind in the box.
+/// Enlarges a box if only one side of its object was visible: away from the sensor, to
+/// the typical size of a car, a truck or a cyclist. Stores the name of this kind in the
+/// box.
 void enlarge_box_to_typical_size(BoxTrack& box, const MoverTrack& track);
 
 /// Adds poses to a labelled box for the times when the object was observed without a

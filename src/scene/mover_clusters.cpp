@@ -33,16 +33,16 @@ constexpr double kMinEmptyShare = 0.25;
 constexpr int kTooFewFrames = 3;
 // Points farther below the lowest moved point of a cluster belong to the ground.
 constexpr double kGroundBelow_m = 0.05;
-// Vertical gap that separates two objects. At 29 m, beams that are two degrees apart leave
-// a gap of this size.
+// Vertical gap that separates two objects. At 29 m, beams that are two degrees apart
+// leave a gap of this size.
 constexpr double kGapAbove_m = 1.0;
 constexpr double kMovedShare = 0.15;  // minimum share of moved returns in a cluster
 // Minimum number of consecutive frames in a group. Cells at the border between two groups
 // are computed twice.
 constexpr std::size_t kStretch = 200;
 
-/// `moved`: other frames find the cell empty. `rarely_observed`: too few frames observe the
-/// cell. It becomes part of an object only if it is next to a `moved` cell.
+/// `moved`: other frames find the cell empty. `rarely_observed`: too few frames observe
+/// the cell. It becomes part of an object only if it is next to a `moved` cell.
 enum class CellMotionState : char { rests, rarely_observed, moved };
 
 /// One return of a frame.
@@ -141,9 +141,9 @@ std::vector<glm::vec3> assign_grid_cells_and_get_mean_points(std::vector<FrameMo
     return means;
 }
 
-/// Returns the lower and the upper limit of an object above the ground. Splits the heights
-/// of its moved returns at large gaps, for example between a car and a tree above it. Uses
-/// the part with the most heights, and adds a margin.
+/// Returns the lower and the upper limit of an object above the ground. Splits the
+/// heights of its moved returns at large gaps, for example between a car and a tree above
+/// it. Uses the part with the most heights, and adds a margin.
 std::pair<double, double> find_object_height_range(std::vector<double> heights_m) {
     std::sort(heights_m.begin(), heights_m.end());
     std::size_t best = 0, n_best = 0;

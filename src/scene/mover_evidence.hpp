@@ -12,7 +12,8 @@ namespace relidar {
 
 /// Number of frames which show that the object at a position has not moved, or has moved.
 struct MotionEvidence {
-    /// Frames that have a return at the position although the tracked object is elsewhere.
+    /// Frames that have a return at the position although the tracked object is
+    /// elsewhere.
     std::size_t n_occupied_frames = 0;
     std::size_t n_empty_frames = 0;  ///< frames that observe an empty space at the position
     void operator+=(const MotionEvidence& other) {
@@ -36,14 +37,14 @@ struct TrackMotionEvidence {
     std::size_t n_frames = 0, n_moved_frames = 0;
     void operator+=(const TrackMotionEvidence& other);
     /// Returns true if the counts prove that the object moves. Other frames observe empty
-    /// space at nearly all positions of a moving object, and only at the edges of a static
-    /// object. The counts prove little if the box hardly moves.
+    /// space at nearly all positions of a moving object, and only at the edges of a
+    /// static object. The counts prove little if the box hardly moves.
     bool is_proven_moving() const;
 };
 
-/// Counts the frames that show whether the object at a point (world) moved. Skips frames in
-/// which the box of the track contains the point. The box stays at its first pose before
-/// the track, and at its last pose after it.
+/// Counts the frames that show whether the object at a point (world) moved. Skips frames
+/// in which the box of the track contains the point. The box stays at its first pose
+/// before the track, and at its last pose after it.
 MotionEvidence count_occupied_and_empty_frames_at_point(const VisibilityChecker& visibility,
                                                         const glm::dvec3& point_m, const BoxTrack& box);
 

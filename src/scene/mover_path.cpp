@@ -15,8 +15,8 @@ namespace {
 
 // standard deviation of the observed position of an object's near end
 constexpr double kPositionNoise_m = 0.1;
-// Spectral density q of the white noise on the jerk, m^2/s^5. With a position every 0.1 s,
-// the path follows motions that take longer than 0.4 s and smooths shorter motions.
+// Spectral density q of the white noise on the jerk, m^2/s^5. With a position every 0.1
+// s, the path follows motions that take longer than 0.4 s and smooths shorter motions.
 constexpr double kJerk = 0.2;
 // A position at this distance from the path has half the weight of one on the path.
 constexpr double kFarFromPath_m = 0.3;
@@ -24,8 +24,8 @@ constexpr int kPathRounds = 3;
 // The heading at a position is the direction of a chord of the path. The chord begins at
 // this distance before the position and ends at this distance after it.
 constexpr double kChord_m = 1.5;
-// A path through a, p and b turns back at p if |ab| / max(|ap|, |pb|) is below this ratio.
-// The heading at p is then the direction from a to p instead of from a to b.
+// A path through a, p and b turns back at p if |ab| / max(|ap|, |pb|) is below this
+// ratio. The heading at p is then the direction from a to p instead of from a to b.
 constexpr double kTurnsBack = 0.3;
 
 /// Each column of `state` is a world axis. The rows are position, velocity, acceleration.
@@ -80,8 +80,8 @@ std::vector<KinematicState> run_kalman_smoother(const std::vector<double>& times
     return path;
 }
 
-/// Returns the first point of the path at the distance kChord_m from one of its positions,
-/// or the end of the path.
+/// Returns the first point of the path at the distance kChord_m from one of its
+/// positions, or the end of the path.
 glm::dvec2 find_path_point_at_chord_length(const std::vector<glm::dvec3>& path_m, std::size_t start_index,
                                            int index_step) {
     const glm::dvec2 here(path_m[start_index]);

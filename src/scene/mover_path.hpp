@@ -24,8 +24,8 @@ std::vector<KinematicState> smooth_path(const std::vector<double>& times_s,
                                         const std::vector<glm::dvec3>& positions_m);
 
 /// Returns the heading in radians at each position of a path on the ground: the direction
-/// from the point 1.5 m earlier on the path to the point 1.5 m later. An object that stops
-/// therefore keeps its last heading.
+/// from the point 1.5 m earlier on the path to the point 1.5 m later. An object that
+/// stops therefore keeps its last heading.
 std::vector<double> compute_path_headings_rad(const std::vector<glm::dvec3>& path_m);
 
 }  // namespace relidar

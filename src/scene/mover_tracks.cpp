@@ -18,8 +18,8 @@ namespace {
 constexpr double kMaxGap_s = 0.35;
 constexpr double kLongestGap_s = 1.5;  // maximum gap across which two parts of a track are joined
 constexpr std::size_t kEndsOfGap = 4;  // minimum number of observations before and after a gap
-// Maximum number of observations from which a velocity is estimated, for the prediction of
-// the next frame (kNext) and across a gap in time (kFar).
+// Maximum number of observations from which a velocity is estimated, for the prediction
+// of the next frame (kNext) and across a gap in time (kFar).
 constexpr std::size_t kNext = 4, kFar = 10;
 constexpr double kFirstSpeed_mps = 15.0;  // maximum speed of an object that has been observed only once
 // Maximum distance between an object and its predicted position: kAcceleration_m plus
@@ -188,8 +188,8 @@ bool are_tracks_of_same_vehicle(const MoverTrack& track, const MoverTrack& other
     return variance.x + variance.y < kRigid_m * kRigid_m;
 }
 
-/// Returns how badly a later track continues an earlier track after a gap. A value above 1
-/// means that the tracks belong to different objects.
+/// Returns how badly a later track continues an earlier track after a gap. A value above
+/// 1 means that the tracks belong to different objects.
 double compute_match_cost_over_gap(const MoverTrack& earlier_track, const MoverTrack& later_track) {
     if (earlier_track.label != kNoLabel && later_track.label != kNoLabel) return 2.0;
     if (std::min(earlier_track.observations.size(), later_track.observations.size()) < kEndsOfGap) return 2.0;

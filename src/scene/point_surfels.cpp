@@ -20,8 +20,8 @@ constexpr float kSh0 = 0.28209479177387814f;  ///< SH constant of degree 0
 /// SH constant of degree 1; the three functions multiply it by -y, z and -x
 constexpr double kSh1 = 0.4886025119029199;
 constexpr int kScaleNeighbours = 3;
-/// A gap between scan lines is wider than this multiple of the mean distance to the nearest
-/// points. Gaps between randomly distributed points are narrower.
+/// A gap between scan lines is wider than this multiple of the mean distance to the
+/// nearest points. Gaps between randomly distributed points are narrower.
 constexpr double kGap = 2.5;
 
 /// Adapter that gives nanoflann access to the samples.
@@ -107,7 +107,8 @@ ScanLineGap measure_scan_line_gap(const std::vector<LidarSample>& samples,
     // Cosine of 45 degrees, the largest angle between `gap.across` and the direction of a
     // neighbour on the next scan line.
     constexpr double kAcross = 0.7071;
-    // Maximum distance of a neighbour from the surface plane: kSlope * distance + kNoise_m.
+    // Maximum distance of a neighbour from the surface plane: kSlope * distance +
+    // kNoise_m.
     constexpr double kSlope = 0.1, kNoise_m = 0.05;
     const glm::dvec3 point(samples[neighbour_indices[0]].position),
         x = make_perpendicular_direction(normal, 0.0), y = glm::cross(normal, x);
@@ -164,9 +165,9 @@ struct SurfelPlacement {
     ScanLineGap gap;
 };
 
-/// Fits a plane to the nearest samples, and measures the gap between scan lines. Uses more
-/// samples if all lie on one scan line, because the plane could rotate about this line, or
-/// if there is no sample on the left or right scan line.
+/// Fits a plane to the nearest samples, and measures the gap between scan lines. Uses
+/// more samples if all lie on one scan line, because the plane could rotate about this
+/// line, or if there is no sample on the left or right scan line.
 SurfelPlacement estimate_surface_at_sample(const Tree& tree, const std::vector<LidarSample>& samples,
                                            std::size_t sample_index, std::vector<std::size_t> nearest_indices,
                                            const SceneInitialisationOptions& options) {

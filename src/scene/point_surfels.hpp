@@ -44,8 +44,8 @@ Surfels make_surfels_from_points(const std::vector<LidarSample>& samples,
                                  const ProgressReporter& progress = {},
                                  std::vector<std::uint32_t>* sample_order = nullptr);
 
-/// Returns the first sample of each voxel of an actor, at most `max_count`. The samples of
-/// a voxel are not averaged: labels jitter, so averages would shrink the actor.
+/// Returns the first sample of each voxel of an actor, at most `max_count`. The samples
+/// of a voxel are not averaged: labels jitter, so averages would shrink the actor.
 /// @param selected_indices output: indices of the returned samples
 std::vector<LidarSample> select_one_sample_per_voxel(const std::vector<LidarSample>& samples,
                                                      std::size_t max_count,

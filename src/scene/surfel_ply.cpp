@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Writes and reads surfels as PLY files in the layout of 3D Gaussian splatting. A surfel is
-// stored as a flat Gaussian. The LiDAR channels are additional properties. The reader
+// Writes and reads surfels as PLY files in the layout of 3D Gaussian splatting. A surfel
+// is stored as a flat Gaussian. The LiDAR channels are additional properties. The reader
 // compares each number in the header with the file size before it uses the number.
 #include <relidar/base/files.hpp>
 #include <relidar/scene/surfel_ply.hpp>

@@ -31,8 +31,8 @@ constexpr double kTile_m = 8.0;
 // Maximum distance between a sensor and the tiles for which its frame is used. Farther
 // away, even a person has only one or two returns.
 constexpr double kMaxTileDistance_m = 40.0;
-// Farther frames are used up to this multiple of the smallest such distance of all frames,
-// so that distant tiles have frames.
+// Farther frames are used up to this multiple of the smallest such distance of all
+// frames, so that distant tiles have frames.
 constexpr double kHardlyFarther = 1.25;
 constexpr std::size_t kMostViews = 64;
 
@@ -61,7 +61,8 @@ std::vector<double> compute_row_elevations_rad(const RayTable& rays) {
     return rows;
 }
 
-/// Returns the number of columns per turn, a little narrower than the spacing of the rays.
+/// Returns the number of columns per turn, a little narrower than the spacing of the
+/// rays.
 int choose_range_image_columns(const RayTable& rays) {
     if (rays.rows <= 1 || rays.columns <= 1) return kMostColumns;
     const auto azimuth = [&](int column) {

@@ -36,8 +36,8 @@ public:
     std::size_t get_cell_index(int row, int column) const {
         return std::size_t(row) * std::size_t(columns_) + std::size_t(column);
     }
-    /// Returns the range of the nearest return in each cell, [rows * columns] metres, 0 if
-    /// a cell has no return.
+    /// Returns the range of the nearest return in each cell, [rows * columns] metres, 0
+    /// if a cell has no return.
     std::vector<float> compute_nearest_range_per_cell_m(const Scan& scan) const;
 
 private:
@@ -78,8 +78,8 @@ public:
     const std::vector<std::uint32_t>& find_views_near(const glm::dvec3& point_m) const;
     /// Returns what one frame observes at a point (world), with an error of decimetres.
     PointVisibility classify_point_in_view(std::uint32_t view_index, const glm::dvec3& point_m) const;
-    /// Returns true if a frame has a return in the direction of a point (world) whose range
-    /// differs by at most `tolerance_m`.
+    /// Returns true if a frame has a return in the direction of a point (world) whose
+    /// range differs by at most `tolerance_m`.
     bool has_return_at(std::uint32_t view_index, const glm::dvec3& point_m, double tolerance_m) const;
     double get_view_time_s(std::uint32_t view_index) const { return views_[view_index].time_s; }
 
@@ -93,8 +93,8 @@ private:
         /// [rows * columns] see compute_nearest_range_per_cell_m()
         std::vector<float> range_m;
     };
-    /// Range of a point, and the ranges of the returns in the six cells around it: the rows
-    /// directly above and below it, and three columns.
+    /// Range of a point, and the ranges of the returns in the six cells around it: the
+    /// rows directly above and below it, and three columns.
     struct NeighbourRanges {
         double range_m = 0.0;
         float returned_m[6];

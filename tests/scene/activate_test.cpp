@@ -27,7 +27,8 @@ namespace {
 constexpr std::uint32_t kOfBackground = 70;
 constexpr double kPhase = 0.3;  // phase of the actor's gait, turns
 
-/// Parameters: primitive, whether harmonics are read as on a GPU, whether the actor walks.
+/// Parameters: primitive, whether harmonics are read as on a GPU, whether the actor
+/// walks.
 class Activate : public test::DeviceTest,
                  public testing::WithParamInterface<std::tuple<PrimitiveType, bool, bool>> {
 protected:
@@ -54,7 +55,8 @@ protected:
         }
         return surfels;
     }
-    /// Returns a surfel as on_device() places it: on a walking actor, moved with its limb.
+    /// Returns a surfel as on_device() places it: on a walking actor, moved with its
+    /// limb.
     reference::Surfel in_scene(const reference::Surfel& surfel, std::size_t index) const {
         return bends() && index >= kOfBackground ? reference::move_to_phase(surfel, kPhase) : surfel;
     }
@@ -86,7 +88,8 @@ INSTANTIATE_TEST_SUITE_P(PrimitivesAndAccess, Activate,
                          testing::Combine(testing::Values(PrimitiveType::surfel, PrimitiveType::gaussian),
                                           testing::Bool(), testing::Bool()));
 
-/// Returns the floats of a record in double, in the order of shaders/scene/shared/scene.h.
+/// Returns the floats of a record in double, in the order of
+/// shaders/scene/shared/scene.h.
 std::vector<double> compute_record(const reference::Surfel& surfel, const glm::dvec3& view_origin,
                                    int sh_degree) {
     const reference::DoubleRecord r = reference::make_record(surfel);
@@ -100,8 +103,8 @@ std::vector<double> compute_record(const reference::Surfel& surfel, const glm::d
 /// division, the rounding of a rotation matrix, and 2e-6 of summed values.
 std::vector<double> compute_record_tolerance(const reference::Surfel& surfel,
                                              const std::vector<double>& expected) {
-    // On the diagonal, the element is 1 minus twice a sum of two products of q / |q|. Each
-    // factor has the error of an inverse square root (2 units) and of 6 roundings.
+    // On the diagonal, the element is 1 minus twice a sum of two products of q / |q|.
+    // Each factor has the error of an inverse square root (2 units) and of 6 roundings.
     constexpr double kElement =
         2.0 * 2.0 * (2.0 * test::kUnit + 6.0 * test::kRounding) + 4.0 * test::kRounding;
     const double log_scale[] = {surfel.log_scale.x, surfel.log_scale.y, surfel.log_scale_w.value_or(0.0)};
@@ -269,8 +272,8 @@ TEST_P(Activate, VjpLeavesUntouchedRowsWhereTheyAreNotWanted) {
     }
 }
 
-/// Compares the derivatives over a list of marked surfels with those over all surfels. Some
-/// marked surfels have no gradient. Unmarked surfels must not be read.
+/// Compares the derivatives over a list of marked surfels with those over all surfels.
+/// Some marked surfels have no gradient. Unmarked surfels must not be read.
 TEST_P(Activate, VjpOverAListIsThatOverAll) {
     const std::vector<reference::Surfel> surfels = make_some_surfels();
     const auto n = static_cast<std::uint32_t>(surfels.size());

@@ -12,8 +12,8 @@
 namespace relidar {
 namespace {
 
-/// Points of a static wall and of a door that opens suddenly. The actor moves by 10 cm per
-/// frame.
+/// Points of a static wall and of a door that opens suddenly. The actor moves by 10 cm
+/// per frame.
 std::vector<LidarSample> make_points_of_door() {
     std::vector<LidarSample> samples;
     for (int frame = 0; frame < 20; ++frame)

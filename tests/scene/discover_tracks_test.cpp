@@ -163,8 +163,8 @@ TEST(DiscoverTracks, GuessesTheLengthOfWhatShowsItsRearAlone) {
     }
 }
 
-/// The second LiDAR has all returns. The first LiDAR has few returns on the objects in the
-/// first case, and all returns in the second case.
+/// The second LiDAR has all returns. The first LiDAR has few returns on the objects in
+/// the first case, and all returns in the second case.
 TEST(DiscoverTracks, FindsWhatAnyLidarOfARigSees) {
     for (const bool first_frame_is_complete : {false, true}) {
         Street street = make_street_without_labels();

@@ -91,8 +91,8 @@ TEST(Initialise, IntensityFallsWithIncidenceFromTheStart) {
     EXPECT_LT(worst[worst.size() * 95 / 100], 0.02f) << "normals of a few rays are not quite upright";
 }
 
-/// Returns the mean of |n . d| over the surfels of a scan, where d is the direction to the
-/// surfel and n is the normal.
+/// Returns the mean of |n . d| over the surfels of a scan, where d is the direction to
+/// the surfel and n is the normal.
 double compute_mean_facing(const std::function<float(const glm::vec3& direction)>& range_m, double flatness) {
     SceneInitialisationOptions options;
     options.normal_neighbours = 24;
@@ -148,8 +148,8 @@ TEST(Initialise, AStreetThatStandsStillStays) {
     }
 }
 
-/// The lower beams of a VLP-32C are up to 9 degrees apart. The ground between two beams is
-/// nearer than the return of the upper beam, which did not pass through this ground.
+/// The lower beams of a VLP-32C are up to 9 degrees apart. The ground between two beams
+/// is nearer than the return of the upper beam, which did not pass through this ground.
 TEST(Initialise, UnevenBeamsDoNotSeeThroughTheGround) {
     const std::filesystem::path rig = std::filesystem::path(testing::TempDir()) / "relidar_uneven_beams.json";
     std::ofstream(rig) << R"({"sensors": [{"name": "top", "sensor": "vlp-32c"}]})";

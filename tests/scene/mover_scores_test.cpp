@@ -45,7 +45,8 @@ std::vector<std::size_t> list_frames_that_see(const LidarSequence& log, const st
     return n_frames;
 }
 
-/// Returns true if the centre of a discovered track is inside the true box most of the time.
+/// Returns true if the centre of a discovered track is inside the true box most of the
+/// time.
 bool is_of(const BoxTrack& track, const BoxTrack& truth) {
     std::size_t inside = 0;
     for (std::size_t i = 0; i < track.world_from_box.time_s.size(); ++i) {
@@ -57,7 +58,8 @@ bool is_of(const BoxTrack& track, const BoxTrack& truth) {
            track.size_m.x < truth.size_m.x + kLarger_m && track.size_m.y < truth.size_m.y + kLarger_m;
 }
 
-/// Returns the largest deviation of an object from its mean position in its discovered box.
+/// Returns the largest deviation of an object from its mean position in its discovered
+/// box.
 double measure_stray_m(const BoxTrack& track, const BoxTrack& thing) {
     std::vector<glm::dvec3> relative_positions_m;
     for (std::size_t i = 0; i < track.world_from_box.time_s.size(); ++i)

@@ -52,7 +52,8 @@ std::vector<double> places(int count, double apart) {
     return x;
 }
 
-/// Shape of a surfel: standard deviations along x and y in point spacings, and the normal.
+/// Shape of a surfel: standard deviations along x and y in point spacings, and the
+/// normal.
 struct Disc {
     double along_x = 0.0, along_y = 0.0;
     glm::dvec3 normal;
@@ -106,8 +107,8 @@ TEST(PointSurfels, AreRoundWherePointsAreEven) {
     EXPECT_LT(stretched / double(samples.size()), 0.02);
 }
 
-/// Lines are so far apart that the 24 nearest neighbours of a point belong to one line. Only
-/// a wider search shows that the ground is level.
+/// Lines are so far apart that the 24 nearest neighbours of a point belong to one line.
+/// Only a wider search shows that the ground is level.
 TEST(PointSurfels, OneLineAsksFartherForItsSurface) {
     SceneInitialisationOptions options = make_standard_options();
     options.max_gap_m = 2.0;

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Compares the benchmark street and its rays with numbers that ../shared/bench/scene_gen.py
-// printed with numpy 1.24.2: street(n, refine=...) and rays(kind). Means, rotations and SH
-// are equal bit for bit. The logarithms of scale and opacity cause errors of about 2e-7.
+// Compares the benchmark street and its rays with numbers that
+// ../shared/bench/scene_gen.py printed with numpy 1.24.2: street(n, refine=...) and
+// rays(kind). Means, rotations and SH are equal bit for bit. The logarithms of scale and
+// opacity cause errors of about 2e-7.
 #include <gtest/gtest.h>
 
 #include <cmath>

@@ -159,7 +159,8 @@ TEST_F(SurfelPly, HasTheLayoutOfGaussianSplatting) {
     }
 }
 
-/// The tool cropped the scene, changed the order, removed the normals and added properties.
+/// The tool cropped the scene, changed the order, removed the normals and added
+/// properties.
 TEST_F(SurfelPly, ReadsWhatAnotherToolEdited) {
     const Scene scene = make_some_scene();
     write_surfel_ply(folder / "a.ply", scene);

@@ -68,7 +68,8 @@ protected:
     static const SurfelModel& model_of(const Scene& scene, const std::string& track) {
         return *std::ranges::find(scene.models, track, &SurfelModel::name);
     }
-    /// Returns the errors of the rendered surface in metres, for all rays that hit a walker.
+    /// Returns the errors of the rendered surface in metres, for all rays that hit a
+    /// walker.
     std::vector<double> errors(const Scene& scene, const LidarSequence& at, const LidarFrame& frame,
                                const Scan& exact, const std::string& track) {
         const BoxTrack& box = *find_box_track_by_id(at, track);

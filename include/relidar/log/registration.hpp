@@ -16,7 +16,8 @@ struct RegistrationOptions {
     /// Largest pose error, metres, that registration can correct. The registration of a
     /// scan failed if its correction differs from those of neighbouring scans by more.
     double largest_m = 1.0;
-    /// The motion between consecutive scans comes from the given poses, or from the scans.
+    /// The motion between consecutive scans comes from the given poses, or from the
+    /// scans.
     bool use_pose_motion = true;
     std::vector<BoxTrack> movers;            ///< Points in these boxes of moving objects are ignored.
     double mover_margin_m = kMoverMargin_m;  ///< boxes are enlarged by this margin
@@ -42,8 +43,8 @@ struct RegistrationResult {
     /// Corrected poses of the vehicle, or those of the log if `done` is false.
     PoseTrack world_from_vehicle;
     std::vector<RegistrationRound> rounds;
-    /// Scans that could not be registered, as indices into world_from_vehicle. They get the
-    /// same correction as the neighbouring poses.
+    /// Scans that could not be registered, as indices into world_from_vehicle. They get
+    /// the same correction as the neighbouring poses.
     std::vector<std::size_t> lost;
     /// Fraction of a scan's points on planes which several scans observe, median over all
     /// training scans.
@@ -61,17 +62,18 @@ struct RegistrationResult {
 /// between the given poses is the start value.
 /// 2. Loop closure: where a road is driven again, the later pass is aligned with the
 /// earlier pass.
-/// 3. Adjustment of all poses together. Each point p moves with the two poses between which
-/// it was fired:
+/// 3. Adjustment of all poses together. Each point p moves with the two poses between
+/// which it was fired:
 ///   min over all poses and planes (n, d) of  sum over points p of rho(n . p - d)
 ///   rho(r) = r^2 / (1 + r^2 / s^2)
-/// Given poses may drift by metres, or jump. A motion that is common to all poses cannot be
-/// observed, so the mean correction is zero, or the middle pose is fixed without given
+/// Given poses may drift by metres, or jump. A motion that is common to all poses cannot
+/// be observed, so the mean correction is zero, or the middle pose is fixed without given
 /// motion.
 ///
 /// Held-out scans are aligned last, with the planes of the training scans, and do not
 /// affect other poses. The result does not depend on the number of threads and processes.
-/// The processes of a group share the first step. Only the first process returns a result.
+/// The processes of a group share the first step. Only the first process returns a
+/// result.
 ///
 /// Another LiDAR that sweeps at the same times as the LiDAR with the most returns is
 /// combined with it. All other LiDARs keep their mounting on the vehicle.

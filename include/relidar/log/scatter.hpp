@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Statistical model of the difference between measured and rendered intensities, which
-// comes from noise along a beam, differences between beams, and quantisation. The inputs of
-// a decision tree are the rendered values around a ray and the intensities that were
+// comes from noise along a beam, differences between beams, and quantisation. The inputs
+// of a decision tree are the rendered values around a ray and the intensities that were
 // already drawn. Each leaf holds measured intensities. (Not in the paper.)
 #pragma once
 
@@ -36,12 +36,13 @@ struct PairedIntensities {
 
 /// A decision tree whose leaves hold measured intensities.
 struct IntensityScatterModel {
-    /// The range of entries in `values` holds the measured intensities of a node, including
-    /// those of its children.
+    /// The range of entries in `values` holds the measured intensities of a node,
+    /// including those of its children.
     struct DecisionTreeNode {
         /// Feature that is compared with `at`, below count_intensity_features(). -1: leaf
         std::int32_t feature = -1;
-        /// The search continues with the first child if the feature is at most this value.
+        /// The search continues with the first child if the feature is at most this
+        /// value.
         float at = 0.0f;
         std::int32_t child = 0;  ///< Index of the first child. The second child has the next index.
         std::uint32_t first = 0, count = 0;  ///< range of entries in `values`

@@ -35,8 +35,8 @@ struct PoseTrack {
     /// translations). Outside the track, extrapolates with the velocity at its end.
     /// @throws DataError if the track is empty
     Pose interpolate_pose(double t_s) const;
-    /// Returns the pose at `t_s` of an object that is mounted on the object of this track.
-    /// Same as compute_mounted_track() followed by interpolate_pose().
+    /// Returns the pose at `t_s` of an object that is mounted on the object of this
+    /// track. Same as compute_mounted_track() followed by interpolate_pose().
     Pose interpolate_mounted_pose(double t_s, const Pose& carrier_from_mounted) const;
     /// @throws DataError if the track is empty
     TrackInterpolation find_poses_before_and_after_time(double t_s) const;
@@ -93,8 +93,8 @@ struct LidarFrame {
     int lidar = 0;  ///< index into LidarSequence::lidars
     /// Azimuth and time at the start of the sweep; empty if both have default values
     std::optional<SweepStart> start = {};
-    /// [columns] radians, measured minus nominal azimuth of the head at each firing. Empty
-    /// if there is none. load_sequence() sets it.
+    /// [columns] radians, measured minus nominal azimuth of the head at each firing.
+    /// Empty if there is none. load_sequence() sets it.
     std::vector<float> azimuth_shift_rad = {};
 };
 
@@ -123,8 +123,8 @@ struct RangeNoiseTable {
     /// [ranges*cosines] standard deviations along the ray, a row for each range
     std::vector<double> sigma_m;
 
-    /// Returns the standard deviation of the range noise in the bin of these values, or in
-    /// the nearest bin; 0 if the noise is unknown.
+    /// Returns the standard deviation of the range noise in the bin of these values, or
+    /// in the nearest bin; 0 if the noise is unknown.
     double get_range_noise_sigma_m(double measured_range_m, double incidence_cosine) const;
 };
 
@@ -148,13 +148,14 @@ void set_nominal_sensor(Lidar& lidar, const SensorModel& sensor);
 /// Returns the nominal (ideal) sensor of a LiDAR. It has no beams if it is unknown.
 SensorModel get_nominal_sensor(const Lidar& lidar);
 
-/// Returns the rays that a LiDAR nominally fires at a time; none if its sensor is unknown.
+/// Returns the rays that a LiDAR nominally fires at a time; none if its sensor is
+/// unknown.
 RayTable make_nominal_rays(const Lidar& lidar, double time_s);
 
 /// Measures the difference between the actual and the nominal azimuth of a spinning head,
 /// at each firing of a sweep, positive to the left. The value is the median over all
-/// returned rays of the firing, so it does not reveal which rays were dropped. Firings with
-/// less than three returns are interpolated.
+/// returned rays of the firing, so it does not reveal which rays were dropped. Firings
+/// with less than three returns are interpolated.
 /// @param nominal_rays  make_nominal_rays() of the LiDAR
 /// @return [columns] radians, by firing (compute_beam_azimuth_offset_columns()). Empty if
 /// the rays are not in nominal order, the beams do not rotate together, or none deviates.
@@ -191,7 +192,8 @@ struct BoxTrack {
     /// - Between two successive averages the object moves faster than 0.5 m/s and by more
     ///   than 0.2 m.
     bool is_moving() const;
-    /// Returns true if the box was observed at a time, give or take half a mean time step.
+    /// Returns true if the box was observed at a time, give or take half a mean time
+    /// step.
     bool is_observed_at_time(double t_s) const;
     /// Returns the track without the poses before its first and after its last label.
     BoxTrack copy_track_of_labelled_poses() const;
@@ -200,8 +202,8 @@ struct BoxTrack {
     bool contains_point(const glm::dvec3& point_m, double t_s, double margin_m) const;
 };
 
-/// Model of the measured intensity, the same for all beams of a log. The factor is 1 at 10
-/// m and perpendicular incidence.
+/// Model of the measured intensity, the same for all beams of a log. The factor is 1 at
+/// 10 m and perpendicular incidence.
 ///   intensity of the mean beam = albedo * compute_intensity_factor_at_range(range)
 ///                                * compute_intensity_factor_at_incidence(cosine)
 struct IntensityResponse {
@@ -281,15 +283,15 @@ int find_lidar_index_by_name(const LidarSequence& sequence, const std::string& n
 
 /// Returns the poses of an object that is mounted on another moving object, its carrier.
 PoseTrack compute_mounted_track(PoseTrack carrier_track, const Pose& carrier_from_mounted);
-/// Returns the same motion with additional poses where the object turns, so that a mounted
-/// object moves on a curve.
+/// Returns the same motion with additional poses where the object turns, so that a
+/// mounted object moves on a curve.
 PoseTrack subdivide_turning_segments(const PoseTrack& track);
 /// Adds a vector to all positions. LidarSequence::world_offset_m converts from relidar's
 /// world frame to the dataset's world frame, -world_offset_m back.
 PoseTrack add_offset_to_track_positions(PoseTrack track, const glm::dvec3& offset_m);
 
-/// Replaces the poses of the vehicle. The times must stay the same. Boxes keep their poses
-/// relative to the vehicle.
+/// Replaces the poses of the vehicle. The times must stay the same. Boxes keep their
+/// poses relative to the vehicle.
 void set_vehicle_poses(LidarSequence& sequence, PoseTrack world_from_vehicle);
 
 /// A ray in the world frame at the time at which it was fired.
@@ -305,10 +307,10 @@ struct WorldRay {
 WorldRay make_world_ray(const PoseTrack& world_from_sensor, double time_s, const RayTable& rays,
                         std::size_t ray, bool rolling_shutter);
 
-/// Returns the time in a sweep at which the LiDAR faces a point. For a scanning window, it
-/// is the time of the column that contains the point. For a rosette, which covers every
-/// direction repeatedly, or a table of rays, it is the middle of the scan. It is the
-/// `time_s` of the sweep without a rolling shutter.
+/// Returns the time in a sweep at which the LiDAR faces a point. For a scanning window,
+/// it is the time of the column that contains the point. For a rosette, which covers
+/// every direction repeatedly, or a table of rays, it is the middle of the scan. It is
+/// the `time_s` of the sweep without a rolling shutter.
 /// @param point_m [3] metres, sensor frame
 double compute_time_when_lidar_faces_point_s(const LidarSequence& sequence, const glm::dvec3& point_m,
                                              const SweepTiming& sweep);
@@ -324,8 +326,8 @@ struct SurfaceReturn {
 SurfaceReturn compute_surface_return(const LidarSequence& sequence, const LidarFrame& frame, std::size_t ray,
                                      std::size_t return_index = 0);
 
-/// End point of a returned ray in the world frame, and the firing time of the ray, without
-/// range offset and intensity response of the beam.
+/// End point of a returned ray in the world frame, and the firing time of the ray,
+/// without range offset and intensity response of the beam.
 struct WorldReturn {
     glm::dvec3 point_m;
     glm::dvec3 direction;
@@ -338,7 +340,8 @@ WorldReturn compute_world_return(const LidarSequence& sequence, const LidarFrame
                                  std::size_t return_index = 0);
 
 /// Returns true if a point in the world frame is in any moving box at time t_s. The boxes
-/// are interpolated, enlarged by margin_m, and exist as in BoxTrack::is_observed_at_time().
+/// are interpolated, enlarged by margin_m, and exist as in
+/// BoxTrack::is_observed_at_time().
 bool is_in_moving_box(const std::vector<BoxTrack>& boxes, const glm::dvec3& point_m, double t_s,
                       double margin_m);
 
@@ -359,10 +362,11 @@ struct IntensityCalibrationResult {
     bool beams = false;      ///< True if the beams now have gains and offsets.
 };
 /// Estimates two models of the intensity by least squares: the dependence on range and
-/// incidence (LidarSequence::intensity_response), and gain and offset of each beam (Beam).
-/// Both are fitted to returns that hit the same 0.1 m of a surface. A model, or both
-/// together, is adopted only if it reduces the error by a further 5 %. The mean beam, and a
-/// beam that shares no surface with others, has gain 1 and offset 0. (Not in the paper.)
+/// incidence (LidarSequence::intensity_response), and gain and offset of each beam
+/// (Beam). Both are fitted to returns that hit the same 0.1 m of a surface. A model, or
+/// both together, is adopted only if it reduces the error by a further 5 %. The mean
+/// beam, and a beam that shares no surface with others, has gain 1 and offset 0. (Not in
+/// the paper.)
 /// @param frame_indices  indices into LidarSequence::frames of the frames to use
 IntensityCalibrationResult fit_and_set_intensity_calibration(LidarSequence& sequence,
                                                              const std::vector<int>& frame_indices);
@@ -386,8 +390,8 @@ struct TrainTestSplit {
 };
 /// Splits the frames of a log into training and test frames. A test sweep includes the
 /// frames of all LiDARs that have the same index. Test sweeps are every
-/// `test_every_nth_frame`-th sweep except the first (10, 20, ... of 0:50 with 10), or, with
-/// 10 on a published part of a dataset, LidarSequence::test_frames.
+/// `test_every_nth_frame`-th sweep except the first (10, 20, ... of 0:50 with 10), or,
+/// with 10 on a published part of a dataset, LidarSequence::test_frames.
 /// @param test_every_nth_frame  0: no test frames
 /// @param test_frame_list  if not empty, the indices and half-open ranges of the test
 /// frames, "13,26,40:45"

@@ -32,30 +32,31 @@ using ObservedSideFractions = std::array<float, kBoxSides>;
 inline constexpr float kUnseenSide = 0.1f;
 /// Returns the names of the unseen sides, for example "rear, left".
 std::string format_unobserved_sides(const ObservedSideFractions& observed_fractions);
-/// Returns the minimum cosine between a ray and the normal of a side. More grazing rays do
-/// not count, because their returns form separate streaks. The limit of the top is lower,
-/// because a LiDAR on a car hits other roofs only at grazing angles.
+/// Returns the minimum cosine between a ray and the normal of a side. More grazing rays
+/// do not count, because their returns form separate streaks. The limit of the top is
+/// lower, because a LiDAR on a car hits other roofs only at grazing angles.
 double get_min_incidence_cosine(BoxSide side);
 
-/// Surface of a box, divided into patches of about 0.3 m, and which of them were observed by
-/// rays. A point belongs to the patch onto which it projects from the centre of the box.
-/// The lowest fifth of the four sides is ignored, because it is hidden near the ground.
-/// Every patch has a mirror patch on the other side of the x-z plane.
+/// Surface of a box, divided into patches of about 0.3 m, and which of them were observed
+/// by rays. A point belongs to the patch onto which it projects from the centre of the
+/// box. The lowest fifth of the four sides is ignored, because it is hidden near the
+/// ground. Every patch has a mirror patch on the other side of the x-z plane.
 class ObservedBoxSurface {
 public:
     /// Divides a box surface into patches, none of which is observed yet.
     /// @param size_m [3] length, width, height, all above 0
     explicit ObservedBoxSurface(const glm::dvec3& size_m);
     bool operator==(const ObservedBoxSurface&) const = default;
-    /// Marks the patch of a point as observed by a ray (both in the box frame) that hits the
-    /// side from outside and does not graze it. Rays from inside have passed through a
-    /// window to the far side.
+    /// Marks the patch of a point as observed by a ray (both in the box frame) that hits
+    /// the side from outside and does not graze it. Rays from inside have passed through
+    /// a window to the far side.
     void mark_patch_of_point_as_observed(const glm::dvec3& point_m, const glm::dvec3& ray_direction);
     /// Returns true if a ray has observed the patch of a point.
     bool is_patch_of_point_observed(const glm::dvec3& point_m) const;
     /// Returns true if only the mirror patch of a point was observed.
     bool is_observed_only_in_mirror_image(const glm::dvec3& point_m) const;
-    /// Returns the observed fraction, by area, of a side or of the complete surface, 0 to 1.
+    /// Returns the observed fraction, by area, of a side or of the complete surface, 0 to
+    /// 1.
     double compute_observed_area_fraction(std::optional<BoxSide> side = {}) const;
     /// Returns the fraction that was not observed, but whose mirror image was.
     double compute_mirrorable_area_fraction(std::optional<BoxSide> side = {}) const;
@@ -69,9 +70,9 @@ public:
     std::optional<BoxSide> find_box_side_with_mirrored_surfels(const glm::dvec3& point_m) const;
     /// Measures how much the left and right half of an object differ.
     /// @param points_m points of the surface, box frame
-    /// @return median difference between the two observed patches of a pair, metres. A patch
-    /// counts with the mean distance of its points from the box centre along the normal
-    /// of its side. 0 with fewer than three pairs
+    /// @return median difference between the two observed patches of a pair, metres. A
+    /// patch counts with the mean distance of its points from the box centre along the
+    /// normal of its side. 0 with fewer than three pairs
     double compute_left_right_asymmetry_m(const std::vector<glm::vec3>& points_m) const;
 
     const glm::dvec3& half_size_m() const { return half_m_; }

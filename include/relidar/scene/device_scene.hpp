@@ -55,8 +55,8 @@ struct SurfelArrays {
     SurfelArrays(Device& device, std::uint32_t n, const std::string& description,
                  SurfelParameterSet parameter_set = {});
     SurfelParameterSet get_parameter_set() const { return {primitive, bends}; }
-    /// @throws DataError if the number of surfels, the primitive, or the presence of a gait
-    /// differs
+    /// @throws DataError if the number of surfels, the primitive, or the presence of a
+    /// gait differs
     void upload(const Surfels& surfels);
     Surfels download() const;
     /// Returns the number of surfels for which all arrays have memory.
@@ -90,15 +90,16 @@ struct LearningRates {
 /// densification and file formats process all groups with the same code.
 struct SurfelParameterGroup {
     const char* name;  ///< Name of the group's array in files.
-    /// Shape of the values of one surfel, {rows, columns}, for example {3, 1} for a vector.
+    /// Shape of the values of one surfel, {rows, columns}, for example {3, 1} for a
+    /// vector.
     std::array<std::uint32_t, 2> row;
     double LearningRates::*rate;
     bool harmonics;  ///< True if the last dimension holds spherical harmonics (SH) coefficients.
     bool scales;     ///< True if the group holds standard deviations, which may have upper bounds.
     /// Scenes that have these parameters.
     enum class SceneRequirement { all, third_scale, bends } of;
-    /// Access to the device array, [n, count_floats()], and to the values on the host, [n *
-    /// count_floats()].
+    /// Access to the device array, [n, count_floats()], and to the values on the host, [n
+    /// * count_floats()].
     const Array<float>& (*device)(const SurfelArrays&);
     Array<float>& (*mutable_device)(SurfelArrays&);
     std::span<const float> (*values)(const Surfels&);
@@ -189,8 +190,8 @@ struct SurfelPointers;  // Device addresses of the parameter arrays.
 /// Returns the device addresses of all parameter arrays, to be passed to kernels.
 shared::SurfelPointers get_surfel_pointers(const SurfelArrays& arrays);
 
-/// List of the surfels that have a gradient, made by a kernel from an array of flags. This
-/// saves time on CPU devices, where idle threads cost as much as active threads.
+/// List of the surfels that have a gradient, made by a kernel from an array of flags.
+/// This saves time on CPU devices, where idle threads cost as much as active threads.
 class TouchedSurfelList {
 public:
     explicit TouchedSurfelList(Device& device);
@@ -203,8 +204,9 @@ public:
     /// [count] indices of the listed rows, in no particular order
     Address<std::uint32_t, shared::TouchedRows> get_touched_rows_address() const;
     Address<std::uint32_t, shared::TouchedCount> get_touched_count_address() const;  ///< [1]
-    /// Returns the number of threads for a kernel that processes the list. It is constant,
-    /// because the host does not know the length, so a thread may process several rows.
+    /// Returns the number of threads for a kernel that processes the list. It is
+    /// constant, because the host does not know the length, so a thread may process
+    /// several rows.
     std::size_t choose_thread_count_for_touched_rows(std::size_t max_touched_rows) const;
 
 private:
@@ -213,8 +215,8 @@ private:
 };
 
 /// Computes the pose and the constant motion of a tracked box during a sweep. They equal
-/// the track at the first and the last time at which a ray may hit the box. A box behind a
-/// spinning sensor is hit at the start and at the end of the sweep.
+/// the track at the first and the last time at which a ray may hit the box. A box behind
+/// a spinning sensor is hit at the start and at the end of the sweep.
 /// @param half_size_m [3] half size of the box. 0 = unknown, so any ray may hit the box
 InstancePose compute_box_pose_in_sweep(const LidarSequence& sequence, const PoseTrack& world_from_box,
                                        const glm::dvec3& half_size_m, const SweepTiming& sweep);
@@ -254,12 +256,12 @@ public:
     /// record_bvh_refit_or_build() or record_top_level_bvh_update().
     void record_upload_of_instance_poses(Stream& stream, const std::vector<InstancePose>& instance_poses);
     const std::vector<InstancePose>& get_instance_poses() const;
-    /// Returns true if the new poses change the phase of an actor's walking cycle, so that
-    /// record_activation_of_surfel_parameters() must be called again.
+    /// Returns true if the new poses change the phase of an actor's walking cycle, so
+    /// that record_activation_of_surfel_parameters() must be called again.
     bool would_change_gait_phases(const std::vector<InstancePose>& instance_poses) const;
-    /// Computes the SurfelRecord of each surfel from its parameters (docs/method.md M1, M2,
-    /// M9); with ShDirection::surfel also intensity, hit logit and drop logit. Tracing
-    /// kernels read only these records.
+    /// Computes the SurfelRecord of each surfel from its parameters (docs/method.md M1,
+    /// M2, M9); with ShDirection::surfel also intensity, hit logit and drop logit.
+    /// Tracing kernels read only these records.
     /// @param view_origin_m [3] sensor position, world frame. If a model has several
     /// instances, it is used relative to the first of them
     /// @throws UsageError if `model` has another primitive than the scene
@@ -279,15 +281,16 @@ public:
     void reserve(Device& device, std::uint32_t capacity);
     /// Sets the range of each model after the arrays were rearranged. Afterwards,
     /// record_activation_of_surfel_parameters() must update the surfel records, and
-    /// record_upload_of_instance_poses() or upload_instance_poses_and_wait() the instances.
+    /// record_upload_of_instance_poses() or upload_instance_poses_and_wait() the
+    /// instances.
     void set_models(const std::vector<SurfelModel>& models);
 
     const Scene& get_scene_layout() const;  ///< Models and instances of the scene, without surfels.
     SurfelArrays& get_surfel_parameters();
     const SurfelArrays& get_surfel_parameters() const;
     const Array<shared::SurfelRecord>& get_surfel_records() const;  ///< Surfel records, [n].
-    /// ImageFormationModel::alpha_min of the last activation. Rays skip hits with a smaller
-    /// alpha.
+    /// ImageFormationModel::alpha_min of the last activation. Rays skip hits with a
+    /// smaller alpha.
     float alpha_min() const;
     /// [models], in the order of their surfel ranges
     const Array<shared::ModelEntry>& get_model_table() const;

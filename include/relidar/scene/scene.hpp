@@ -71,8 +71,8 @@ constexpr const PrimitiveProperties& get_primitive_properties(PrimitiveType prim
 struct GaitPhaseWindow {
     /// Phase at which the surfel is most opaque and not displaced, 0..1.
     float phase = 0.0f;
-    /// How quickly the surfel fades away from `phase`: the window is about a Gaussian with
-    /// a standard deviation of 1 / (2 pi sharpness). 0 = always visible.
+    /// How quickly the surfel fades away from `phase`: the window is about a Gaussian
+    /// with a standard deviation of 1 / (2 pi sharpness). 0 = always visible.
     float sharpness = 0.0f;
     glm::vec3 swing{0.0f};  ///< Amplitude of the surfel's motion, [3] metres, model frame.
 };
@@ -110,8 +110,8 @@ struct Surfels {
     void resize(std::size_t count) { resize(count, get_parameter_set()); }
     void resize(std::size_t count, SurfelParameterSet parameter_set);
     void add_motionless_gait();  ///< Adds a gait without motion to all surfels if they have none.
-    /// Appends surfels. An empty set adopts the primitive type of `other`. If only one set
-    /// has a gait, the other gets one without motion.
+    /// Appends surfels. An empty set adopts the primitive type of `other`. If only one
+    /// set has a gait, the other gets one without motion.
     /// @throws DataError if the primitive types differ
     void append_surfels(const Surfels& other);
     /// Returns a reordered copy: surfel i of the result is surfel order[i] of this set.
@@ -131,8 +131,8 @@ struct SurfelModel {
     std::string name;  ///< Name of the model: "background" or the track id.
     std::uint32_t first = 0;
     std::uint32_t count = 0;
-    /// Half size of the box around the model's surfels, centred at the origin, metres. 0 =
-    /// the model has no box.
+    /// Half size of the box around the model's surfels, centred at the origin, metres. 0
+    /// = the model has no box.
     glm::vec3 half_size_m{0.0f};
     /// Metres after which an actor repeats its recorded walk, including a gap of about
     /// three frames between end and start. 0 = rigid model.
@@ -184,8 +184,8 @@ struct SceneWithLog {
     LidarSequence sequence;
 };
 
-/// @throws DataError unless the models are consecutive ranges that contain all surfels, in
-/// order, and all instances have one of the models
+/// @throws DataError unless the models are consecutive ranges that contain all surfels,
+/// in order, and all instances have one of the models
 void require_valid_scene_layout(const Scene& scene);
 /// Returns a scene that has only a background model and its instance.
 Scene make_background_scene(Surfels surfels);
@@ -249,7 +249,8 @@ struct SceneInitialisationOptions {
     /// Minimum edge length of a voxel, divided by its distance from the nearest sensor
     /// position. 0 = all have `voxel_m`.
     double voxel_growth = 0.0;
-    /// If true, normals are estimated from neighbours. If false, they are random (ablation).
+    /// If true, normals are estimated from neighbours. If false, they are random
+    /// (ablation).
     bool normals = true;
     int normal_neighbours = 6;
     /// A point lies on a surface if the variance of its neighbours across the surface is
@@ -264,7 +265,8 @@ struct SceneInitialisationOptions {
     /// If true, surfels start with hit logit 0 and drop logit -hit_margin. Training sets
     /// this if it keeps all hit logits at 0 (ImageFormationModel::single_drop_logit).
     bool one_logit = false;
-    /// Upper bound of the initial standard deviations, metres, except over gaps (max_gap_m).
+    /// Upper bound of the initial standard deviations, metres, except over gaps
+    /// (max_gap_m).
     double max_scale_m = 1000.0;
     /// Initial standard deviation divided by the mean distance to the 3 nearest points.
     double scale_factor = 1.0;
@@ -283,8 +285,8 @@ struct SceneInitialisationOptions {
     /// If true, moving boxes that do not become actors are excluded from training. If
     /// false, they are trained as background (paper).
     bool mask_others = true;
-    /// Comma-separated track ids that become actors, regardless of class and motion. Empty
-    /// = select actors by class.
+    /// Comma-separated track ids that become actors, regardless of class and motion.
+    /// Empty = select actors by class.
     std::string actor_tracks;
     /// Actors whose shape changes, as comma-separated class names or kinds. Empty = none.
     std::string deform = "person,cyclist";
@@ -339,8 +341,8 @@ Surfels initialise_background(const LidarSequence& sequence, const std::vector<i
                               const ProgressReporter& progress = {});
 
 /// Creates the background, and one model and instance per actor, in the frame of the
-/// actor's box (Eq. 4-5). Actors are moving boxes of the selected classes, or the selected
-/// tracks. A point in two boxes belongs to both models.
+/// actor's box (Eq. 4-5). Actors are moving boxes of the selected classes, or the
+/// selected tracks. A point in two boxes belongs to both models.
 /// @param notes output: for each actor of SceneInitialisationOptions::deform, whether its
 /// shape changes, or the reason why it is rigid
 /// @throws DataError if no training frame has a usable point
@@ -348,8 +350,8 @@ Scene initialise_scene(const LidarSequence& sequence, const std::vector<int>& tr
                        const SceneInitialisationOptions& options, const ProgressReporter& progress = {},
                        std::vector<std::string>* notes = nullptr);
 
-/// Returns the boxes that were removed from the background and have no model in the scene,
-/// because of their class or their few points. Renderings lack their returns.
+/// Returns the boxes that were removed from the background and have no model in the
+/// scene, because of their class or their few points. Renderings lack their returns.
 std::vector<BoxTrack> find_boxes_without_model(const Scene& scene, const LidarSequence& sequence,
                                                const SceneInitialisationOptions& options);
 /// Returns the moving boxes that are neither background nor selected as actors.
@@ -382,8 +384,8 @@ Surfels transform_all_surfels_to_world(const Scene& scene, const std::vector<Ins
 /// @return [n] permutation: position i of the sorted array holds point order[i]
 std::vector<std::uint32_t> compute_kd_tree_order(const std::vector<glm::vec3>& points);
 
-/// Returns the extent of a model in metres, to which some settings are relative. Actors: 4
-/// times the diagonal of the box. Other models: 3 times the 90th percentile of 2 |p -
+/// Returns the extent of a model in metres, to which some settings are relative. Actors:
+/// 4 times the diagonal of the box. Other models: 3 times the 90th percentile of 2 |p -
 /// centre| over the surfels. Without surfels: 1.
 double compute_robust_model_extent_m(const Scene& scene, std::size_t model_index);
 double compute_actor_model_extent_m(const glm::vec3& half_size_m);

@@ -242,8 +242,8 @@ private:
                            compute_twist(get_keyframe_pose(later_keyframe_index), at)};
     }
 
-    /// Solves for the corrections of all keyframes. Each term of the least-squares problem
-    /// gives the expected difference between the corrections of two keyframes.
+    /// Solves for the corrections of all keyframes. Each term of the least-squares
+    /// problem gives the expected difference between the corrections of two keyframes.
     Eigen::VectorXd solve_keyframe_corrections(const std::vector<double>& closure_weights) const {
         const auto n = Eigen::Index(keyframes_.size());
         std::vector<Eigen::Triplet<double>> entries;

@@ -117,7 +117,8 @@ private:
         maps_.remove_cells_last_seen_before(forgotten_m_);
     }
 
-    /// Predicts the motion to pose `pose_index` from the velocity before the previous pose.
+    /// Predicts the motion to pose `pose_index` from the velocity before the previous
+    /// pose.
     Pose predict_constant_motion(std::size_t pose_index) const {
         if (pose_index < begin_ + 2) return first_motion_.value_or(Pose{});
         const std::vector<double>& t = track_.time_s;
@@ -130,8 +131,8 @@ private:
         return inverse(initial_track_.pose[pose_index - 1]) * initial_track_.pose[pose_index];
     }
 
-    /// Returns predictions of a pose, the most likely one first. The alignment of the scan
-    /// starts from each of them.
+    /// Returns predictions of a pose, the most likely one first. The alignment of the
+    /// scan starts from each of them.
     std::vector<Pose> list_alternative_pose_predictions(std::size_t pose_index) const {
         const Pose constant_motion_pose = track_.pose[pose_index - 1] * predict_constant_motion(pose_index);
         if (!options_.use_pose_motion) return {constant_motion_pose};

@@ -51,9 +51,9 @@ public:
     PlaneMap fit_planes_to_all_points(const RegistrationRound& round_settings) const;
     const PoseTrack& track() const { return track_; }
 
-    /// Replaces poses without points and poses whose registration failed by interpolation.
-    /// Too few points of a failed pose lie on planes, or its correction differs from both
-    /// neighbours by more than `max_deviation_m`.
+    /// Replaces poses without points and poses whose registration failed by
+    /// interpolation. Too few points of a failed pose lie on planes, or its correction
+    /// differs from both neighbours by more than `max_deviation_m`.
     /// @param pose_has_points  [poses]
     /// @return indices of the failed poses
     std::vector<std::size_t> interpolate_and_list_unregistered_poses(const PlaneMap& map,
@@ -69,8 +69,8 @@ public:
     double compute_fraction_on_planes(const PlaneMap& map, std::span<const SubsampledPoint> points,
                                       double kernel_scale_m) const;
     /// Returns the smallest difference between the correction of a pose and those of the
-    /// earlier neighbour, the later one, and the interpolation between both, in metres, or
-    /// 0 if one neighbour is missing.
+    /// earlier neighbour, the later one, and the interpolation between both, in metres,
+    /// or 0 if one neighbour is missing.
     /// @param is_neighbour  [poses] true for the poses that are used as neighbours
     double compute_deviation_from_neighbours_m(std::size_t pose_index,
                                                const std::vector<bool>& is_neighbour) const;

@@ -17,11 +17,11 @@ constexpr std::size_t kFewestPoints = 8;
 constexpr int kFits = 4;
 // Minimum standard deviation along the narrower direction of the plane / cell size.
 constexpr double kSpread = 0.12;
-// Minimum ratio of the same to the scale of the robust kernel. Rejects narrow strips, which
-// a single beam produces if poses are wrong.
+// Minimum ratio of the same to the scale of the robust kernel. Rejects narrow strips,
+// which a single beam produces if poses are wrong.
 constexpr double kSpreadScale = 0.8;
-// Minimum share of points that are closer to the plane than the scale of the robust kernel,
-// at which a point has a weight of 1/4.
+// Minimum share of points that are closer to the plane than the scale of the robust
+// kernel, at which a point has a weight of 1/4.
 constexpr double kInliers = 0.7;
 
 glm::dvec3 get_matrix_column(const Eigen::Matrix3d& matrix, int column) {

@@ -14,7 +14,8 @@
 
 namespace relidar {
 
-/// Interpolates cell size and scale geometrically between the first round (0) and the last.
+/// Interpolates cell size and scale geometrically between the first round (0) and the
+/// last.
 inline RegistrationRound interpolate_round_settings(const RegistrationRound& first_round_settings,
                                                     const RegistrationRound& last_round_settings,
                                                     double fraction) {
@@ -34,8 +35,8 @@ struct LocalPlane {
 /// + r^2 / s^2) (Geman and McClure 1985).
 double compute_robust_weight(double residual_m, double kernel_scale_m);
 
-/// Fits a plane by iteratively reweighted least squares. Returns nothing if the points are
-/// not spread over a surface, or if too many are far from the plane.
+/// Fits a plane by iteratively reweighted least squares. Returns nothing if the points
+/// are not spread over a surface, or if too many are far from the plane.
 std::optional<LocalPlane> fit_plane_robustly(const std::vector<WorldPointWithOrigin>& points,
                                              std::span<const std::uint32_t> point_indices, double cell_size_m,
                                              double kernel_scale_m);

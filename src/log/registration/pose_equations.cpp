@@ -17,7 +17,8 @@ namespace {
 
 // Usually 20 to 30 are enough, even for long logs.
 constexpr int kMostIterations = 100;
-// Sums over planes run in parallel: at most kParts sums over at least kPlanesOfPart planes.
+// Sums over planes run in parallel: at most kParts sums over at least kPlanesOfPart
+// planes.
 constexpr std::size_t kParts = 64, kPlanesOfPart = 256;
 // The conjugate-gradient solver stops if the residual norm has fallen to this fraction of
 // its initial value. Later Gauss-Newton steps correct the remaining error.
@@ -121,8 +122,9 @@ void PoseEquations::add_plane_residuals_of_cell(const std::vector<SubsampledPoin
         return couplings_.emplace_back(
             PlanePoseCoupling{static_cast<std::uint32_t>(pose), Eigen::Matrix<float, 6, 3>::Zero()});
     };
-    // Normal matrix of the plane's three unknowns (offset and two tilts). With other point
-    // weights than in the pose equations, the Schur complement is not positive definite.
+    // Normal matrix of the plane's three unknowns (offset and two tilts). With other
+    // point weights than in the pose equations, the Schur complement is not positive
+    // definite.
     Eigen::Matrix3d stiffness = Eigen::Matrix3d::Zero();
     Eigen::Vector3d pull = Eigen::Vector3d::Zero();
     for (const std::uint32_t i : point_indices) {
@@ -208,8 +210,8 @@ Eigen::VectorXd PoseEquations::multiply_normal_matrix_by(const Eigen::VectorXd& 
     return y;
 }
 
-/// Equations for groups of eight consecutive poses that move like one rigid body, a part of
-/// the solver's preconditioner.
+/// Equations for groups of eight consecutive poses that move like one rigid body, a part
+/// of the solver's preconditioner.
 class PoseGroupEquations {
 public:
     PoseGroupEquations(const PoseEquations& equations, const PoseTrack& track, const Vector6& pull)
@@ -234,8 +236,8 @@ public:
         factorise_matrix();
     }
 
-    /// Solves for one rigid motion per group of poses, and adds it to each of its poses in
-    /// `pose_steps`. `right_hand_side`: 6 values per pose
+    /// Solves for one rigid motion per group of poses, and adds it to each of its poses
+    /// in `pose_steps`. `right_hand_side`: 6 values per pose
     void solve_and_add_pose_group_motions(const Eigen::VectorXd& right_hand_side,
                                           Eigen::VectorXd& pose_steps) const {
         if (solver_.info() != Eigen::Success) return;

@@ -111,9 +111,9 @@ public:
     double compute_rms_residual_m() const { return weight_ > 0.0 ? std::sqrt(cost_ / weight_) : 0.0; }
 
 private:
-    /// Coupling c = C L^-T of a plane with one pose. C: 6x3 block of the normal matrix. L:
-    /// Cholesky factor of the plane's 3x3 block. Eliminating the plane subtracts c_i c_j^T
-    /// from block (i, j) of any two poses.
+    /// Coupling c = C L^-T of a plane with one pose. C: 6x3 block of the normal matrix.
+    /// L: Cholesky factor of the plane's 3x3 block. Eliminating the plane subtracts c_i
+    /// c_j^T from block (i, j) of any two poses.
     struct PlanePoseCoupling {
         std::uint32_t pose;
         Eigen::Matrix<float, 6, 3> c;

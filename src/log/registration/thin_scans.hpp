@@ -30,8 +30,8 @@ struct SubsampledPoint {
     std::uint32_t left = 0;
     std::uint32_t pose = 0;  ///< index of the sweep that contains the point
 };
-/// [sweeps] points of each scan, frame by frame in the order of the rays; empty for sweeps
-/// that are not used
+/// [sweeps] points of each scan, frame by frame in the order of the rays; empty for
+/// sweeps that are not used
 using SubsampledScans = std::vector<std::vector<SubsampledPoint>>;
 
 /// Positions in the world frame: of a point, and of the vehicle when it measured the

@@ -16,8 +16,8 @@ namespace relidar {
 namespace {
 
 constexpr int kTileColumns = 64;  // Number of columns of a tile. Each tile has one row.
-/// Tile t of a row depends on tile t - 1 of this row and, in the rows above, on tiles up to
-/// t + 1. Tiles with the same 2 * row + t are independent and run in parallel.
+/// Tile t of a row depends on tile t - 1 of this row and, in the rows above, on tiles up
+/// to t + 1. Tiles with the same 2 * row + t are independent and run in parallel.
 static_assert(scatter_detail::kAhead <= kTileColumns);
 
 const IntensityScatterModel::DecisionTreeNode& find_tree_leaf(

@@ -27,8 +27,8 @@ using scatter_detail::RayFeatures;
 
 constexpr std::size_t kMostReturns = 2000000, kFewestReturns = 1000;
 constexpr std::size_t kFewestOfLeaf = 50;
-// Minimum gain in log-likelihood of a split. About 1 in 100 nodes of random intensities is
-// split by chance.
+// Minimum gain in log-likelihood of a split. About 1 in 100 nodes of random intensities
+// is split by chance.
 constexpr double kLeastGain = 20.0;
 constexpr std::size_t kClasses = 24, kBins = 64;
 constexpr std::size_t kQuantileReturns = 100000;  // number of returns from which quantiles are computed
@@ -200,7 +200,8 @@ TreeNodeSplit find_best_split_of_features(const ScatterSampleSet& samples,
 }
 
 /// Returns the best split of each tree node. If two splits are equally good, uses the one
-/// with the lower feature index. For large nodes, also processes the features in parallel.
+/// with the lower feature index. For large nodes, also processes the features in
+/// parallel.
 std::vector<TreeNodeSplit> find_best_layer_splits(
     const ScatterSampleSet& samples, const std::vector<double>& k_log_k,
     std::span<const IntensityScatterModel::DecisionTreeNode> nodes) {

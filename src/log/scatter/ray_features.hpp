@@ -27,8 +27,8 @@ struct RayWindow {
 
 constexpr std::array<RayOffset, 4> kBeside{{{0, -1}, {0, 1}, {-1, 0}, {1, 0}}};
 constexpr std::array<RayWindow, 2> kSmoothed{{{{0, -4}, {0, 4}}, {{-2, 0}, {2, 0}}}};
-/// Neighbouring rays whose residuals (known minus rendered intensity) are features. Lasers
-/// in adjacent rows fire alternately, so the ray two rows above is more similar.
+/// Neighbouring rays whose residuals (known minus rendered intensity) are features.
+/// Lasers in adjacent rows fire alternately, so the ray two rows above is more similar.
 constexpr std::array<RayOffset, 7> kResiduals{
     {{0, -1}, {0, -2}, {0, -3}, {0, -4}, {-1, 0}, {-2, 0}, {-4, 0}}};
 constexpr std::array<RayOffset, 10> kLevels{
@@ -70,8 +70,8 @@ public:
         const auto at = [&](RayOffset s) {
             return get_pixel_index(std::clamp(row + s.rows, 0, scan_.rows - 1), column + s.columns);
         };
-        // Intensities are sampled from left to right. A neighbour left of column 0 wraps to
-        // the right edge, which is sampled later, so it counts as unknown.
+        // Intensities are sampled from left to right. A neighbour left of column 0 wraps
+        // to the right edge, which is sampled later, so it counts as unknown.
         const auto level = [&](RayOffset s) {
             const bool is_beyond_end = !scan_.circular && column + s.columns >= scan_.columns;
             return row + s.rows < 0 || column + s.columns < 0 || is_beyond_end ? kNoIntensity

@@ -181,7 +181,8 @@ RangeCalibrationResult fit_and_set_range_offset_of_beams(LidarSequence& sequence
             mean += r.fits[b].weight * offset_m[b];
             weight += r.fits[b].weight;
         }
-        // An offset of all beams moves planes and points together, so it cannot be measured.
+        // An offset of all beams moves planes and points together, so it cannot be
+        // measured.
         for (double& offset : offset_m) offset -= mean / weight;
         result.returns = r.n;
         result.rms_after = std::sqrt(r.n > 0 ? r.squares / double(r.n) : 0.0);

@@ -91,8 +91,7 @@ TEST(PlaceScan, FindsThePoseOfOneSweepAmongOthersThatStay) {
     const LidarSequence exact = drive();
     std::mt19937_64 random(3);
     std::normal_distribution<double> metres(0.0, 0.02), radians(0.0, 2e-3);
-    // The first and the last sweep have rays whose times are beyond the ends of the
-    // track.
+    // The first and the last sweep have rays beyond the ends of the track.
     for (const std::size_t position : {0u, 1u, 2u}) {
         LidarSequence log = exact;
         Pose& pose = log.world_from_vehicle.pose[position];
@@ -135,17 +134,15 @@ LidarSequence make_drive_of_two() {
     for (const LidarFrame& frame : log.frames) {
         LidarFrame other = frame;
         other.lidar = 1;
+        frames.push_back(frame);
         for (std::size_t i = 0; i < frame.scan.rays.size(); ++i) {
-            const WorldRay ray = make_world_ray(second, frame.time_s, frame.scan.rays, i, true);
+            const WorldRay ray = make_world_ray(second, frame.time_s, frame.scan.rays, i, true),
+                           first =
+                               make_world_ray(log.world_from_vehicle, frame.time_s, frame.scan.rays, i, true);
             const SurfaceHit wall = intersect_wall(ray.origin_m, ray.direction);
             other.scan.range_m[i] =
                 wall.normal.y == 0.0 ? static_cast<float>(glm::distance(wall.point_m, ray.origin_m)) : 0.0f;
-        }
-        frames.push_back(frame);
-        for (std::size_t i = 0; i < frame.scan.rays.size(); ++i) {
-            const WorldRay ray =
-                make_world_ray(log.world_from_vehicle, frame.time_s, frame.scan.rays, i, true);
-            if (intersect_wall(ray.origin_m, ray.direction).normal.y == 0.0)
+            if (intersect_wall(first.origin_m, first.direction).normal.y == 0.0)
                 frames.back().scan.range_m[i] = 0.0f;
         }
         frames.push_back(std::move(other));

@@ -16,8 +16,7 @@ SyntheticOptions make_two_lidar_options() {
     return {.n_frames = 12, .rows = 32, .columns = 256, .moving_cars = false};
 }
 
-/// Doubles the poses: a pose at each sweep of the first LiDAR, and a pose off_s later,
-/// when the second LiDAR sweeps.
+/// Doubles the poses: the second LiDAR sweeps off_s later than the first.
 LidarSequence make_staggered_street(double off_s) {
     const LidarSequence together = test::make_two_lidar_street(make_two_lidar_options());
     LidarSequence street = together;
@@ -73,9 +72,7 @@ TEST(SeveralLidars, OneFindsWhatTheOtherMissed) {
     EXPECT_LT(test::error_of(registration.world_from_vehicle, exact, all_poses(street)).worst_m, 0.02);
 }
 
-/// A LiDAR that sweeps at other times must get interpolated poses. The times of its rays
-/// lie between poses of both LiDARs. The rays are in any order.
-/// any order.
+/// The times of the rays of the second LiDAR lie between poses of both LiDARs.
 TEST(SeveralLidars, OneThatSweepsAtOtherTimesRidesAlong) {
     for (const double off_s : {0.05, 0.01, 0.09}) {
         const LidarSequence street = make_staggered_street(off_s);

@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Fits scatter trees to simulated sensors with an exact intensity scatter. Values drawn
-// from the tree must have the same distribution, including the correlation with
-// neighbouring rays.
+// Fits scatter trees to simulated sensors. Values drawn from the tree must have the same
+// distribution, including the correlation with neighbouring rays.
 #include <algorithm>
 #include <array>
 #include <cmath>
@@ -22,8 +21,7 @@ namespace {
 constexpr int kRows = 16, kColumns = 256;
 constexpr std::size_t kRays = std::size_t(kRows) * kColumns;
 
-/// Makes panels of 16 columns each. The rendered brightness of a panel is 0.2, 0.4, 0.6
-/// or 0.8.
+/// Panels of 16 columns each with a rendered brightness of 0.2, 0.4, 0.6 or 0.8.
 RenderedIntensityImage make_panels() {
     RenderedIntensityImage image{kRows,
                                  kColumns,
@@ -40,8 +38,7 @@ RenderedIntensityImage make_panels() {
     return image;
 }
 
-/// Measures all rays. The function measure(intensity, residual of the left neighbour,
-/// random) returns the measured value of a ray.
+/// measure(intensity, residual of the left neighbour, random) returns a measured value.
 template <class Measure>
 PairedIntensities measured(std::uint64_t seed, const Measure& measure) {
     PairedIntensities result{make_panels(), {}};
@@ -66,8 +63,8 @@ std::vector<PairedIntensities> make_scans(int count, const Measure& measure) {
 
 const std::vector<std::uint8_t> kAll(kRays, 1);
 
-/// Returns the rendered value, rounded to 0.01, plus (heads - n / 2) / 100. Here heads is
-/// the number of heads of n fair coins. n is 4, or 16 on bright panels.
+/// Returns the rendered value, rounded to 0.01, plus (heads - n / 2) / 100, for n fair
+/// coins: 4, or 16 on bright panels.
 double coins(double rendered, double, Random& random) {
     const int n = rendered > 0.7 ? 16 : 4;
     int heads = 0;
@@ -111,9 +108,8 @@ TEST(Scatter, DrawsTheDistributionOfEachBrightness) {
     }
 }
 
-/// Returns the rendered value with autoregressive noise e(i) = 0.8 e(i-1) + 0.03 n. The
-/// noise has a variance of 0.0025, and a correlation of 0.8^k between rays k columns
-/// apart.
+/// Autoregressive noise e(i) = 0.8 e(i-1) + 0.03 n, with a variance of 0.0025, and a
+/// correlation of 0.8^k between rays k columns apart.
 double grain(double rendered, double before, Random& random) {
     return rendered + 0.8 * before + 0.03 * random.sample_standard_normal();
 }
@@ -196,9 +192,8 @@ RenderedIntensityImage crop_image(const RenderedIntensityImage& image, int rows,
             cut(image.elevation_rad)};
 }
 
-/// Tiles of an image are drawn in parallel, and each tile looks ahead by some columns.
-/// The result must equal drawing ray after ray. The widths give a narrow last tile, a
-/// single tile, and a tile narrower than the columns ahead.
+/// Tiles of an image are drawn in parallel. The widths give a narrow last tile, a single
+/// tile, and a tile narrower than the columns ahead.
 TEST(Scatter, IsDrawnAsOneRayAfterTheOther) {
     const IntensityScatterModel scatter = fit_intensity_scatter_model(make_scans(40, grain));
     for (const auto& [rows, columns] :
@@ -250,8 +245,7 @@ TEST(Scatter, FewReturnsTellNothingAndSizesAreChecked) {
 
 TEST(Scatter, FindsTheStepOfALog) {
     const auto multiples = [](double step, int count) {
-        std::vector<float> values;
-        // not sorted
+        std::vector<float> values;  // not sorted
         for (int k = 0; k < count; ++k) values.push_back(static_cast<float>(step * double(7 * k % count)));
         return values;
     };
