@@ -244,10 +244,8 @@ private:
             const std::uint16_t ring = points.ring[p],
                                 beam = ring < plan.beam_of_ring.size() ? plan.beam_of_ring[ring] : kNoBeam;
             if (beam == kNoBeam && !plan.is_fitted)
-                fail(
-                    "{}: a point has the ring number {}, expected a ring number below {}, the number of "
-                    "beams",
-                    source_.get_frame_name(frame_index), ring, plan.beam_of_ring.size());
+                fail("{}: a point has the ring number {}, expected the number of one of {} beams",
+                     source_.get_frame_name(frame_index), ring, plan.beam_of_ring.size());
             if (beam == kNoBeam) {
                 ++counts_[frame_index].without_beam;
                 continue;

@@ -136,7 +136,8 @@ PointTable read_float32_points(const fs::path& bin_file, const std::vector<std::
     const std::size_t record = fields.size() * sizeof(float);
     if (n_bytes % record != 0)
         fail(
-            "{}: found {} bytes, expected a multiple of {}: {} float32 values (\"columns\" in sequence.json)",
+            "{}: found {} bytes, expected a multiple of {} bytes: {} float32 values (\"columns\" in "
+            "sequence.json)",
             bin_file.string(), n_bytes, record, fields.size());
     PointTable table = make_table_of_binary_points(data, fields, n_bytes / record,
                                                    PointMemoryLayout::by_point, bin_file.string());

@@ -134,7 +134,7 @@ TEST_F(FolderDamage, OfListedFrames) {
     expect_head(frames(R"({"number": -1, "time_s": 0, "scan": "scans/a.pcd"})"),
                 "frames[0].number: found -1");
     expect_head(frames(a + R"(, {"number": 1, "time_s": 0, "scan": "scans/a.pcd"})"),
-                "frame 1 ... 0 s ... frame 0 has the time 0 s");
+                "frame 1 ... 0 s ... frame 0 ... 0 s");
     expect_head(frames(R"({"number": 0, "time_s": 0, "scan": "scans/a.pcd", "lidar": "x"})"),
                 "\"x\" ... name");
     expect_head(frames(R"({"number": 0, "time_s": 0, "scan": "scans/a.txt"})"),

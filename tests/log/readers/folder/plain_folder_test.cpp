@@ -54,9 +54,11 @@ void expect_same_log(const LidarSequence& sequence, const LidarSequence& truth) 
     EXPECT_EQ(sequence.name, truth.name);
     EXPECT_EQ(sequence.conventions, truth.conventions);
     EXPECT_EQ(sequence.start_unix_ns, truth.start_unix_ns);
-    Notes notes = truth.notes;
-    std::erase_if(notes, [](const Note& note) { return !note.id.empty(); });
-    EXPECT_EQ(sequence.notes, notes);
+    const auto list_saved_notes = [](Notes notes) {
+        std::erase_if(notes, [](const Note& note) { return !note.id.empty(); });
+        return notes;
+    };
+    EXPECT_EQ(list_saved_notes(sequence.notes), list_saved_notes(truth.notes));
     EXPECT_EQ(sequence.rolling_shutter, truth.rolling_shutter);
     EXPECT_EQ(sequence.world_offset_m, truth.world_offset_m);
     // The positions are 5000 km from the origin, so the tolerance is the last digit.
