@@ -67,6 +67,24 @@ void add_note_on_unread_fields(const std::vector<PointTable>& clouds, PointField
             : "'" + shorten_for_error_message(semantics.intensity_field) + "'"));
 }
 
+/// Returns a note, or an empty text.
+std::string describe_negative_intensities(const std::vector<PointTable>& clouds, const std::string& field) {
+    double lowest = 0.0;
+    for (const PointTable& cloud : clouds) {
+        const PointFieldView *values = cloud.find_field(field), *x = cloud.find_field(PointAttribute::x),
+                             *y = cloud.find_field(PointAttribute::y),
+                             *z = cloud.find_field(PointAttribute::z);
+        if (!values || !x || !y || !z) continue;
+        for (std::size_t i = 0; i < cloud.n; ++i)
+            if (const double value = (*values)[i];
+                value < lowest && is_valid_return_point(glm::dvec3((*x)[i], (*y)[i], (*z)[i])))
+                lowest = value;
+    }
+    return lowest < 0.0
+               ? fmt::format("some intensities are negative, down to {:.4g}; they are read as 0", lowest)
+               : "";
+}
+
 /// Some files store all rays without a return as points at one position.
 std::optional<glm::vec3> find_position_that_marks_dropped_rays(const PointTable& cloud) {
     const std::array<const PointFieldView*, 3> xyz = {cloud.find_field(PointAttribute::x),
@@ -135,6 +153,9 @@ PointFieldSemantics interpret_point_fields(const std::vector<PointTable>& sample
             values->for_each(cloud.n, [&](std::size_t, double value) { intensities.push_back(value); });
     meaning.scale = estimate_intensity_scale(intensities);
     meaning.returns = find_unnumbered_returns(sample_clouds);
+    if (const std::string text = describe_negative_intensities(sample_clouds, meaning.intensity_field);
+        !text.empty())
+        meaning.notes.push_back(text);
     if (meaning.returns.exist) meaning.notes.push_back(meaning.returns.about);
     for (const PointTable& cloud : sample_clouds)
         if (!meaning.no_return) meaning.no_return = find_position_that_marks_dropped_rays(cloud);

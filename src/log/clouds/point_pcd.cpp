@@ -160,7 +160,7 @@ std::string decompress_pcd_points(std::string_view compressed_data, const std::s
     std::memcpy(&size, compressed_data.data() + 4, 4);
     compressed_data.remove_prefix(8);
     if (packed > compressed_data.size() || size / kMostExpansion > packed)
-        fail("{}: {} bytes of compressed data cannot unpack to {} bytes, or the file with {} is cut", where,
+        fail("{}: {} bytes of compressed data cannot unpack to {} bytes; the file has {} bytes", where,
              packed, size, compressed_data.size());
     return decompress_lzf(compressed_data.substr(0, packed), size, where);
 }
