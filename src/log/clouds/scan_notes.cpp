@@ -27,7 +27,7 @@ void note_plan(LidarSequence& sequence, const ScanLayout& layout, int lidar_inde
     const auto add = [&](const std::string& text) { add_lidar_note(sequence, lidar_index, text); };
     if (samples.empty()) add("no scan has a point with finite coordinates and a plausible time");
     if (!plan.problem.empty())
-        add(fmt::format("{}; therefore each point becomes one ray, and rays without return are unknown{}",
+        add(fmt::format("{}; therefore each point becomes one ray, and dropped rays are unknown{}",
                         plan.problem,
                         layout.is_described && !plan.has_rings
                             ? "; set the key \"sensor\" of the LiDAR in sequence.json to define its beams"
