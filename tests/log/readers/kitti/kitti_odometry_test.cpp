@@ -138,7 +138,7 @@ TEST(KittiOdometry, SaysWhichFileIsWrong) {
     };
     expect(odometry.folder / "times.txt", "0\n0.1\n", "times.txt: found 2 lines, but frame 2 needs line 3");
     expect(odometry.folder / "times.txt", "0\nx\n0.2\n", "times.txt line 2: found 'x' ... time");
-    expect(odometry.folder / "times.txt", "0\n0.2\n0.1\n", "pose 2 ... 0.1 s ... 0.2 s");
+    expect(odometry.folder / "times.txt", "0\n0.2\n0.1\n", "frame 2 ... 0.1 s ... 0.2 s");
     expect(odometry.folder / "calib.txt", "P0: 1\n", "calib.txt ... 'Tr:' ... missing");
     expect(odometry.folder / "calib.txt", "Tr: 1 0 0\n", "calib.txt key Tr: found 3 numbers, expected 12");
     expect(odometry.folder / "calib.txt", "Tr: 2 0 0 0 0 1 0 0 0 0 1 0\n", "calib.txt ... Tr ... rotation");
