@@ -101,7 +101,7 @@ TEST(KittiErrors, ScanErrorCollector) {
     const std::string original = read_text(drive.scan(1));
     write_text(drive.scan(1), original.substr(0, 100));
     drive.expect_error(
-        "0000000001.bin ... truncated ... 100 bytes ... 4 more bytes ... 6 points of 16 bytes");
+        "0000000001.bin ... truncated ... 100 bytes ... 6 points of 16 bytes ... 4 more bytes");
     write_text(drive.scan(1), "");
     drive.expect_error("0000000001.bin ... empty");
     std::string bad = original;
