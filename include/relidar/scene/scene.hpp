@@ -150,7 +150,7 @@ struct ModelInstance {
 /// loaded from a file when a sensor is near.
 struct SceneBlock {
     std::filesystem::path file;  ///< Model file whose first model holds the surfels of the block.
-    std::uint32_t count = 0;  ///< Number of surfels in the block.
+    std::uint32_t count = 0;     ///< Number of surfels in the block.
     /// Corners of the box around the surfels and three of their standard deviations, [3]
     /// metres, world frame.
     glm::vec3 low_m{0.0f}, high_m{0.0f};
