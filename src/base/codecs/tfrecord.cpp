@@ -64,7 +64,8 @@ TfRecordReader::TfRecordReader(std::filesystem::path file) : file_(std::move(fil
         const auto size = read_unaligned_value<std::uint64_t>(header.data());
         left -= kHeader;
         if (left < kFooter || size > left - kFooter)
-            fail("{} is truncated: expected {} + {} bytes, found {}", where, size, kFooter, left);
+            fail("{} is truncated: its length is {} bytes + {} of checksum, found {}", where, size, kFooter,
+                 left);
         records_.push_back({at + kHeader, size});
         at += kHeader + size + kFooter;
         left -= size + kFooter;
