@@ -488,7 +488,7 @@ editing() {
     check "Car does not end at 7.5 s" grep -Eq '^7\.5,9\.2,1\.1,' paths/Car.csv
     good edit run --out cut_in --trajectory 1:paths/Van.csv
     good info cut_in
-    says "^ *1 +Car .* 3-9 "
+    says "^ *1 +Car .* [23]-11 .* 11\.50,-3\.50,"
     good edit run --out late --retime 0:100
     says "note: actor 0 .*visible"
     sed 's/"name": "synthetic"/"name": "other"/' -i removed/scene.json
