@@ -14,10 +14,10 @@
 #include <relidar/base/progress.hpp>
 #include <relidar/gpu/device.hpp>
 #include <relidar/log/coverage.hpp>
-#include <relidar/log/dataset.hpp>
+#include <relidar/read/dataset.hpp>
 #include <relidar/log/log_time.hpp>
-#include <relidar/log/packets.hpp>
-#include <relidar/log/registration.hpp>
+#include <relidar/read/packets.hpp>
+#include <relidar/registration/registration.hpp>
 #include <relidar/log/scatter.hpp>
 #include <relidar/log/sensor.hpp>
 #include <relidar/log/sensor_files.hpp>

@@ -17,7 +17,7 @@
 #include "base/random.hpp"
 #include "scene/changing_actors.hpp"
 #include "scene/point_surfels.hpp"
-#include "scene/walked_distance.hpp"
+#include "scene/movers/walked_distance.hpp"
 
 namespace relidar {
 namespace {

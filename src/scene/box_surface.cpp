@@ -9,7 +9,7 @@
 #include <map>
 #include <utility>
 
-#include "base/longest_axis.hpp"
+#include "base/geometry/longest_axis.hpp"
 #include "base/median.hpp"
 
 namespace relidar {

@@ -11,7 +11,7 @@
 #include <unordered_map>
 
 #include "base/fail.hpp"
-#include "base/nearest_place.hpp"
+#include "base/geometry/nearest_place.hpp"
 #include "base/parallel.hpp"
 #include "base/parallel_sort.hpp"
 #include "base/progress_blocks.hpp"

@@ -19,7 +19,7 @@
 
 #include <relidar/scene/device_scene.hpp>
 #include <relidar/scene/scene.hpp>
-#include "base/cell_key.hpp"
+#include "base/geometry/cell_key.hpp"
 #include "base/codecs/file_io.hpp"
 #include "base/fail.hpp"
 #include "base/files.hpp"
@@ -375,7 +375,7 @@ std::string make_ply_header_text(const Surfels& surfels, const std::vector<PlyPr
     text += fmt::format("{}: metres, {}{}\n", kind.label, frame_name,
                         kind.third_scale ? "" : "; scale_2 only makes them flat");
     for (const auto& note : notes)
-        text += fmt::format("comment {}\n", report_detail::format_metadata_line(note));
+        text += fmt::format("comment {}\n", codecs::format_metadata_line(note));
     text += fmt::format("element vertex {}\n", surfels.size());
     for (const PlyProperty& p : properties) text += fmt::format("property float {}\n", p.name);
     return text + "end_header\n";
@@ -387,7 +387,7 @@ void write_file(const std::filesystem::path& path, const Surfels& surfels,
                 const std::string& header) {
     write_file_atomically(path, [&](const std::filesystem::path& temporary) {
         surfels.require_equal_array_lengths();
-        report_detail::OutputFile file(temporary);
+        codecs::OutputFile file(temporary);
         file.write(header);
         std::vector<float> record(properties.size());
         for (std::size_t model = 0; model < models.size(); ++model)
@@ -420,7 +420,7 @@ void write_surfel_ply(const std::filesystem::path& path, const Surfels& surfels,
 Scene read_surfel_ply(const std::filesystem::path& path, const Scene& scene_layout, PrimitiveType primitive,
                       std::string* note) {
     std::string ignored_note;
-    const std::vector<std::byte> file = report_detail::read_file(path);
+    const std::vector<std::byte> file = codecs::read_file(path);
     try {
         const bool walks = std::ranges::any_of(
             scene_layout.models, [](const SurfelModel& model) { return model.stride_m > 0.0f; });

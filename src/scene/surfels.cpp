@@ -10,7 +10,7 @@
 #include <relidar/scene/device_scene.hpp>
 
 #include "base/fail.hpp"
-#include "base/longest_axis.hpp"
+#include "base/geometry/longest_axis.hpp"
 
 namespace relidar {
 namespace {

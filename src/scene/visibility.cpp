@@ -9,7 +9,7 @@
 #include <numeric>
 #include <utility>
 
-#include "base/cell_key.hpp"
+#include "base/geometry/cell_key.hpp"
 #include "base/parallel.hpp"
 
 namespace relidar {

@@ -5,7 +5,7 @@
 
 #include <relidar/diff/forward.hpp>
 #include <relidar/diff/network_training.hpp>
-#include <relidar/log/dataset.hpp>
+#include <relidar/read/dataset.hpp>
 #include <relidar/run/stage_options.hpp>
 #include <relidar/simulate/render.hpp>
 #include <relidar/train/train.hpp>

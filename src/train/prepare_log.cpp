@@ -4,8 +4,8 @@
 #include <algorithm>
 #include <cmath>
 
-#include <relidar/log/dataset.hpp>
-#include <relidar/log/registration.hpp>
+#include <relidar/read/dataset.hpp>
+#include <relidar/registration/registration.hpp>
 
 #include "base/fail.hpp"
 #include "base/list_text.hpp"

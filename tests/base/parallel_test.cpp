@@ -19,7 +19,7 @@
 #include <tbb/task_arena.h>
 #include <tbb/task_group.h>
 
-#include "base/cell_numbers.hpp"
+#include "base/geometry/cell_numbers.hpp"
 #include "base/parallel_sort.hpp"
 #include "base/progress_blocks.hpp"
 #include "base/random.hpp"

@@ -5,10 +5,10 @@
 #include <cstdlib>
 
 #include <relidar/base/error.hpp>
-#include <relidar/log/dataset.hpp>
+#include <relidar/read/dataset.hpp>
 #include "base/codecs/feather.hpp"
 #include "changed_files.hpp"
-#include "log/readers/argoverse2/argoverse2_log.hpp"
+#include "read/datasets/argoverse2/argoverse2_log.hpp"
 
 namespace relidar::fuzz {
 namespace {

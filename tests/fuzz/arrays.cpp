@@ -48,7 +48,7 @@ std::vector<std::byte> bytes_of(std::string_view input) {
 std::vector<std::string> make_npy_seeds(const fs::path&) {
     std::vector<std::string> seeds;
     for (const NamedArray& array : make_example_arrays())
-        seeds.push_back(report_detail::make_npy_header(array) +
+        seeds.push_back(codecs::make_npy_header(array) +
                         std::string(reinterpret_cast<const char*>(array.bytes.data()), array.bytes.size()));
     return seeds;
 }
@@ -71,7 +71,7 @@ std::vector<Harness> list_array_harnesses() {
         {"npz", written<[](const fs::path& file) { write_npz(file, make_example_arrays()); }>,
          read_as_file<[](const fs::path& file) { read_npz(file); }>},
         {"npy", make_npy_seeds,
-         [](std::string_view input, const fs::path&) { report_detail::parse_npy("a", bytes_of(input)); }},
+         [](std::string_view input, const fs::path&) { codecs::parse_npy("a", bytes_of(input)); }},
         {"safetensors", written<write_small_safetensors>,
          read_as_file<[](const fs::path& file) { read_safetensors(file); }>},
         {"model", written<[](const fs::path& file) { save_scene_to_model_file(file, make_small_scene()); }>,

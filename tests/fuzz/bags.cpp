@@ -12,14 +12,14 @@
 #include <zstd.h>
 
 #include <relidar/base/error.hpp>
-#include <relidar/log/dataset.hpp>
+#include <relidar/read/dataset.hpp>
 
 #include "base/bytes.hpp"
 #include "base/codecs/byte_reader.hpp"
-#include "log/readers/bag/messages.hpp"
-#include "log/readers/bag/packets/ouster.hpp"
-#include "log/readers/bag/packets/packet_log.hpp"
-#include "log/readers/bag/packets/packet_messages.hpp"
+#include "read/bag/messages.hpp"
+#include "read/packets/ouster.hpp"
+#include "read/packets/packet_log.hpp"
+#include "read/packets/packet_messages.hpp"
 
 namespace relidar::fuzz {
 namespace {
@@ -359,7 +359,7 @@ std::vector<std::string> make_ouster_seeds(const fs::path&) {
 
 void read_ousters(std::string_view input, const fs::path&) {
     constexpr std::size_t kMostPackets = 64;
-    bag::ByteReader reader(input);
+    codecs::ByteReader reader(input);
     packets::DecoderCalibration calibration;
     calibration.ouster =
         packets::parse_ouster_metadata(std::string(reader.read_length_prefixed_string()), "metadata");
@@ -426,7 +426,7 @@ void read_pcap(std::string_view input, const fs::path& folder) {
 
 void read_blocks(std::string_view input, const fs::path&) {
     constexpr std::size_t kMostPackets = 64;
-    bag::ByteReader reader(input);
+    codecs::ByteReader reader(input);
     const std::size_t bytes = std::max<std::size_t>(reader.read_little_endian_number<std::uint16_t>(), 1);
     std::vector<packets::ReceivedPacket> views;
     std::string run;

@@ -9,14 +9,14 @@
 
 #include <fmt/format.h>
 
-#include <relidar/log/dataset.hpp>
+#include <relidar/read/dataset.hpp>
 
 #include "changed_files.hpp"
-#include "log/clouds/log_files.hpp"
-#include "log/readers/kitti/hdl64_rings.hpp"
-#include "log/readers/kitti/kitti_360.hpp"
-#include "log/readers/kitti/kitti_360_folder.hpp"
-#include "log/readers/kitti/kitti_drive.hpp"
+#include "read/kitti/log_files.hpp"
+#include "read/datasets/kitti/hdl64_rings.hpp"
+#include "read/datasets/kitti/kitti_360.hpp"
+#include "read/datasets/kitti/kitti_360_folder.hpp"
+#include "read/datasets/kitti/kitti_drive.hpp"
 
 namespace relidar::fuzz {
 namespace {

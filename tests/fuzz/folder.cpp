@@ -13,11 +13,11 @@
 #include <relidar/base/files.hpp>
 #include <relidar/base/images.hpp>
 #include <relidar/base/math.hpp>
-#include <relidar/log/dataset.hpp>
+#include <relidar/read/dataset.hpp>
 
-#include "log/clouds/folder_points.hpp"
-#include "log/clouds/point_table.hpp"
-#include "log/clouds/point_writers.hpp"
+#include "read/scans/folder_points.hpp"
+#include "read/files/point_table.hpp"
+#include "read/files/point_writers.hpp"
 
 namespace relidar::fuzz {
 namespace {
@@ -68,9 +68,9 @@ void read_points(std::string_view input, const fs::path& folder) {
     put(file, input.substr(1));
     std::vector<std::string> columns = {"x", "y", "z", "intensity", "ring"};
     if (ending == kEndings[3]) columns.push_back("timestamp");
-    folder::PointFileUnits units;
+    read::PointFileUnits units;
     units.intensity_max = 255.0;
-    folder::convert_table_to_points(folder::read_point_file(file, columns), units, 0.0, "scan");
+    read::convert_table_to_points(read::read_point_file(file, columns), units, 0.0, "scan");
 }
 
 fs::path log_in(const fs::path& folder) {

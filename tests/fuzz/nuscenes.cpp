@@ -4,9 +4,9 @@
 
 #include <cstdlib>
 
-#include <relidar/log/dataset.hpp>
+#include <relidar/read/dataset.hpp>
 #include "changed_files.hpp"
-#include "log/readers/nuscenes/nuscenes_folder.hpp"
+#include "read/datasets/nuscenes/nuscenes_folder.hpp"
 
 namespace relidar::fuzz {
 namespace {

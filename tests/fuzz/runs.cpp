@@ -19,7 +19,7 @@ namespace fs = std::filesystem;
 std::vector<std::string> make_coverage_seeds(const fs::path& folder) {
     ObservedVoxelSet coverage;
     coverage.add_voxels_on_line_segment(glm::dvec3(-9.5, 0.25, 1.5), glm::dvec3(20.0, -3.0, 2.0));
-    run_detail::save_coverage(folder / "seed", coverage);
+    files::save_coverage(folder / "seed", coverage);
     return {read_contents(folder / "seed")};
 }
 
@@ -27,7 +27,7 @@ std::vector<std::string> make_coverage_seeds(const fs::path& folder) {
 /// and 1.
 void read_coverage(std::string_view input, const fs::path& folder) {
     put(folder / "input", input);
-    ObservedVoxelSet coverage = run_detail::load_coverage(folder / "input");
+    ObservedVoxelSet coverage = files::load_coverage(folder / "input");
     coverage.add_all_voxels_of_set(ObservedVoxelSet(coverage));
     for (const ObservedVoxelSet::VoxelBlock& block : coverage.list_voxel_blocks()) {
         const glm::dvec3 corner =
@@ -39,26 +39,26 @@ void read_coverage(std::string_view input, const fs::path& folder) {
 }
 
 std::vector<std::string> make_classes_seeds(const fs::path& folder) {
-    run_detail::save_class_map(folder / "seed",
+    files::save_class_map(folder / "seed",
                                {{{-3, 4, 5}, SurfaceClass::road}, {{1, 2, 3}, SurfaceClass::pole}});
     return {read_contents(folder / "seed")};
 }
 
 void read_classes(std::string_view input, const fs::path& folder) {
     put(folder / "input", input);
-    const SurfaceClassMap map = run_detail::load_class_map(folder / "input");
+    const SurfaceClassMap map = files::load_class_map(folder / "input");
     if (!map.empty()) (void)SurfaceClassLookup(map).find_class_of_nearest_cell(glm::dvec3(0.1, 0.2, 0.3));
 }
 
 std::vector<std::string> make_sweeps_seeds(const fs::path& folder) {
-    run_detail::save_azimuth_corrections(folder / "seed", make_example_run(folder).sequence);
+    files::save_azimuth_corrections(folder / "seed", make_example_run(folder).sequence);
     return {read_contents(folder / "seed")};
 }
 
 void read_sweeps(std::string_view input, const fs::path& folder) {
     put(folder / "input", input);
     LidarSequence sequence = make_example_run(folder).sequence;
-    run_detail::load_azimuth_corrections(folder / "input", sequence);
+    files::load_azimuth_corrections(folder / "input", sequence);
 }
 
 std::vector<std::string> make_network_seeds(const fs::path& folder) {
@@ -81,14 +81,14 @@ std::vector<std::string> make_scatter_seeds(const fs::path& folder) {
     IntensityScatterModel scatter;
     scatter.nodes = {{3, 0.5f, 1, 0, 4}, {-1, 0.0f, 0, 0, 2}, {-1, 0.0f, 0, 2, 2}};
     scatter.values = {0.0f, 0.1f, 0.2f, 0.4f};
-    run_detail::save_intensity_scatter(folder / "seed", {scatter});
+    files::save_intensity_scatter(folder / "seed", {scatter});
     return {read_contents(folder / "seed")};
 }
 
 void read_scatter(std::string_view input, const fs::path& folder) {
     put(folder / "input", input);
     const std::vector<IntensityScatterModel> scatter =
-        run_detail::load_intensity_scatter(folder / "input", 1);
+        files::load_intensity_scatter(folder / "input", 1);
     const RenderedIntensityImage image{
         2, 2, {0.1f, 0.2f, 0.3f, 0.4f}, {5.0f, 6.0f, 7.0f, 8.0f}, {0, 0, 0, 0}, {1, 1, 1, 1}, {0, 0, 0, 0}};
     if (!scatter[0].empty()) sample_random_intensities(scatter[0], image, std::vector<std::uint8_t>(4, 1), 1);

@@ -4,9 +4,9 @@
 
 #include <cstdlib>
 
-#include <relidar/log/dataset.hpp>
+#include <relidar/read/dataset.hpp>
 #include "changed_files.hpp"
-#include "log/clouds/stamped_folders.hpp"
+#include "read/scans/stamped_folders.hpp"
 
 namespace relidar::fuzz {
 namespace {

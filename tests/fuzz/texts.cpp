@@ -5,7 +5,7 @@
 #include <fmt/format.h>
 
 #include <relidar/base/error.hpp>
-#include <relidar/log/dataset.hpp>
+#include <relidar/read/dataset.hpp>
 #include <relidar/log/sensor_files.hpp>
 #include <relidar/run/config.hpp>
 #include <relidar/run/edit.hpp>

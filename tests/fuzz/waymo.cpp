@@ -7,9 +7,9 @@
 
 #include <cstdlib>
 
-#include <relidar/log/dataset.hpp>
+#include <relidar/read/dataset.hpp>
 
-#include "log/readers/waymo/waymo_segment.hpp"
+#include "read/datasets/waymo/waymo_segment.hpp"
 
 namespace relidar::fuzz {
 namespace {

@@ -7,7 +7,7 @@
 
 #include <relidar/base/error.hpp>
 #include <relidar/diff/forward.hpp>
-#include <relidar/log/dataset.hpp>
+#include <relidar/read/dataset.hpp>
 #include <relidar/scene/scene.hpp>
 #include "gpu/forced.hpp"
 

@@ -11,7 +11,7 @@
 #include <random>
 
 #include <relidar/base/error.hpp>
-#include <relidar/log/dataset.hpp>
+#include <relidar/read/dataset.hpp>
 #include <relidar/scene/scene.hpp>
 
 #include "../support/rig_street.hpp"

@@ -4,10 +4,10 @@
 #include <cmath>
 
 #include <relidar/diff/forward.hpp>
-#include <relidar/log/dataset.hpp>
+#include <relidar/read/dataset.hpp>
 
 #include "base/random.hpp"
-#include "scene/walked_distance.hpp"
+#include "scene/movers/walked_distance.hpp"
 
 #include "../support/device.hpp"
 

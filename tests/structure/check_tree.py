@@ -18,24 +18,30 @@ CODE = (".cpp", ".hpp", ".h", ".comp", ".glsl", ".rgen")
 
 # Rooms of src/, include/relidar/ and shaders/. A room includes only itself and the rooms
 # before it.
-ROOMS = ["base", "gpu", "log", "scene", "diff", "run", "simulate", "score", "train"]
+ROOMS = ["base", "gpu", "log", "read", "registration", "scene", "diff", "run", "simulate", "score", "train"]
 # Folders whose private headers all rooms may include. Other headers that rooms share
 # must be public.
-OPEN_FOLDERS = ("src/base/", "src/gpu/", "src/diff/traversal/")
+OPEN_FOLDERS = ("src/base/", "src/gpu/", "src/log/", "src/diff/traversal/")
 # Headers of libraries, and the folders of src/ that may include them.
 LIBRARIES = {
     "volk": "gpu", "vulkan/": "gpu", "Imf": "base/codecs", "png.h": "base/codecs", "zip.h": "base/codecs",
-    "lz4frame.h": "base/codecs", "flatbuffers/": "base/codecs", "sqlite3.h": "log/readers/bag",
-    "bzlib.h": "log/readers/bag", "pcap/": "log/readers/bag", "simdjson.h": "log/readers",
-    "protozero/": "log/readers simulate/scan_files", "pugixml.hpp": "log", "toml++/": "log run",
-    "nlohmann/": "base log run simulate", "nanoflann.hpp": "base scene score", "tbb/": "base",
-    "oneapi/tbb": "base", "Eigen/": "base log scene score"}
+    "lz4frame.h": "base/codecs", "flatbuffers/": "base/codecs", "sqlite3.h": "read/bag",
+    "bzlib.h": "read/bag", "pcap/": "read/bag", "simdjson.h": "read/datasets",
+    "protozero/": "read simulate/scan_files", "pugixml.hpp": "read", "toml++/": "log read run",
+    "nlohmann/": "base log read run simulate", "nanoflann.hpp": "base scene score", "tbb/": "base",
+    "oneapi/tbb": "base", "Eigen/": "base log read registration scene score"}
 UMBRELLA = "include/relidar/relidar.hpp"
 # Headers for users who write a trainer, and headers of options. <relidar/relidar.hpp>
 # includes only the latter.
 TRAINER_HEADERS = {"gpu/stream.hpp", "log/sensor_pattern.hpp", "scene/device_scene.hpp",
                    "run/stage_options.hpp", "run/checkpoint.hpp"}
 OPTION_HEADERS = {"diff/densify_options.hpp", "diff/loss_options.hpp", "diff/loss_terms.h", "diff/network.hpp"}
+MAX_NAME = 28   # characters of a function name
+# Namespaces that differ from their folder, because `relidar::relidar` would hide the
+# outer namespace, and because shared structs have the same name in all rooms.
+SPACES = {"cli": ("relidar", "relidar_dev"), "shared": ("include", "shared")}
+# a call or declaration of a function that is not of a library
+FUNCTION = r"(?<!::)\b(?!zip_|pcap_|posix_|register_exc)([a-z][a-z0-9_]*)(?=\()"
 MAX_CHAIN, MAX_CHAIN_OF_TESTS = 8, 10
 
 # Names in documents that are placeholders, or that a program creates.
@@ -94,7 +100,7 @@ def room_of(path):
 
 def reader_of(path):
     parts = path.split("/")
-    return parts[3] if path.startswith("src/log/readers/") and len(parts) > 4 else None
+    return parts[3] if path.startswith("src/read/datasets/") and len(parts) > 4 else None
 
 
 def judge_library(source, target):
@@ -401,12 +407,27 @@ def check_documents(tree):
             yield f"README.md:1: calls {command.split()[0]}, which does not exist"
 
 
-RULES = (check_includes, check_umbrella, check_files, check_documents)
+# ---- names
+
+def check_names(tree):
+    for path, text in tree.items():
+        if not path.endswith(CODE) or not path.startswith(("src/", "include/", "tools/", "shaders/")):
+            continue
+        for line, code in numbered(re.sub(r'//.*|"(?:[^"\\\n]|\\.)*"', "", text)):
+            for name in re.findall(FUNCTION, code):
+                if len(name) > MAX_NAME or re.search("_and_get_|_or_throw|^try_to_", name):
+                    yield f"{path}:{line}: the function name {name} is too long, at most {MAX_NAME}"
+            space = re.match(r"namespace relidar::(\w+)", code)
+            if space and not set(SPACES.get(space[1], (space[1],))) & set(path.split("/")):
+                yield f"{path}:{line}: the namespace {space[1]} is no folder of the path"
+
+
+RULES = (check_includes, check_umbrella, check_files, check_names, check_documents)
 
 # A fault for each rule: the file, the text that is added, and a part of the violation.
 FAULTS = [
     ("src/base/files.hpp", "#include <relidar/log/sensor.hpp>\n", "base may not include log"),
-    ("src/log/readers/once/once.cpp", '#include "log/readers/waymo/waymo_frame.hpp"\n', "readers do not include"),
+    ("src/read/datasets/once/once.cpp", '#include "read/datasets/waymo/waymo_frame.hpp"\n', "readers do not include"),
     ("include/relidar/log/sensor.hpp", '#include "base/files.hpp"\n', "only public headers"),
     ("src/run/edit/edit.cpp", '#include "scene/visibility.hpp"\n', "only through its public headers"),
     ("src/log/sensor/beam.cpp", "#include <volk.h>\n", "<volk.h> is not allowed here"),
@@ -419,6 +440,8 @@ FAULTS = [
     ("src/log/sensor/beam.cpp", "VkDevice device;\n", "outside src/gpu"),
     ("tests/base/lost_test.cpp", "", "no CMakeLists.txt contains"),
     ("shaders/diff/loss/lost.comp", "", "no binding"),
+    ("src/log/sensor/beam.cpp", "int find_the_beam_of_a_ring_and_throw();\n", "is too long"),
+    ("src/log/sensor/beam.cpp", "namespace relidar::lost {}\n", "no folder of the path"),
     ("docs/guide.md", "`src/lost.cpp`\n", "no file src/lost.cpp"),
     ("docs/guide.md", "`train.lost`\n", "no setting train.lost"),
     ("docs/guide.md", "`relidar lost run`\n", "no command relidar lost"),

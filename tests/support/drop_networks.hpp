@@ -17,10 +17,10 @@ namespace relidar::test {
 inline RayDropNetwork make_network_of_rays(std::uint64_t seed = 1) {
     RayDropNetworkOptions options;
     options.network = "pixel";
-    RayDropNetwork network = refine::make_network_architecture(options);
-    const refine::UnetParameterLayout plan(network);
+    RayDropNetwork network = network::make_network_architecture(options);
+    const network::UnetParameterLayout plan(network);
     network.residual = false;
-    refine::initialise_network_parameters(network, plan, seed);
+    network::initialise_network_parameters(network, plan, seed);
     network.residual = true;
     for (std::size_t c = 0; c < network.inputs.size(); ++c)
         network.normalisation.insert(network.normalisation.end(), {1.0f, 0.0f});
@@ -33,7 +33,7 @@ inline RayDropNetwork make_network_that_never_drops() {
     std::fill(network.normalisation.begin(), network.normalisation.end(), 0.0f);
     // a bias of -40 dominates the output, because rendered logits are between -9.3 and
     // 9.3
-    network.parameters[*refine::UnetParameterLayout(network).last_conv.bias] = -40.0f;
+    network.parameters[*network::UnetParameterLayout(network).last_conv.bias] = -40.0f;
     return network;
 }
 

@@ -8,7 +8,7 @@
 #include <fstream>
 #include <string>
 
-#include <relidar/log/dataset.hpp>
+#include <relidar/read/dataset.hpp>
 
 namespace relidar::test {
 

@@ -4,8 +4,9 @@
 // left, turned and tilted.
 #pragma once
 
-#include <relidar/log/clouds.hpp>
-#include <relidar/log/dataset.hpp>
+#include <relidar/log/checks.hpp>
+#include <relidar/read/clouds.hpp>
+#include <relidar/read/dataset.hpp>
 
 namespace relidar::test {
 

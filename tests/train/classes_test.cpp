@@ -7,12 +7,12 @@
 
 #include <fmt/format.h>
 
-#include <relidar/log/dataset.hpp>
+#include <relidar/read/dataset.hpp>
 #include <relidar/score/evaluation.hpp>
 #include <relidar/train/train.hpp>
 
 #include "../support/device.hpp"
-#include "log/readers/kitti/kitti_drive.hpp"
+#include "read/datasets/kitti/kitti_drive.hpp"
 
 namespace relidar {
 namespace {

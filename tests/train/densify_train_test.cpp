@@ -3,7 +3,7 @@
 // that are visible in no frame are removed, the image must not change.
 #include <map>
 
-#include <relidar/log/dataset.hpp>
+#include <relidar/read/dataset.hpp>
 #include <relidar/train/train.hpp>
 
 #include "../support/device.hpp"

@@ -2,7 +2,7 @@
 // Tests how many hits per ray training stores for the backward pass.
 #include <algorithm>
 
-#include <relidar/log/dataset.hpp>
+#include <relidar/read/dataset.hpp>
 #include <relidar/run/stage_options.hpp>
 #include <relidar/train/train.hpp>
 

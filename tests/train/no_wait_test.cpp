@@ -4,7 +4,7 @@
 #include <algorithm>
 #include <limits>
 
-#include <relidar/log/dataset.hpp>
+#include <relidar/read/dataset.hpp>
 #include <relidar/train/train.hpp>
 
 #include "../base/codecs/temporary_folder.hpp"

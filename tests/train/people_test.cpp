@@ -4,7 +4,7 @@
 #include <map>
 #include <utility>
 
-#include <relidar/log/dataset.hpp>
+#include <relidar/read/dataset.hpp>
 #include <relidar/simulate/render.hpp>
 #include <relidar/train/train.hpp>
 

@@ -2,7 +2,7 @@
 // Tests the alignment of held-out scans with a trained street. The test compares with
 // exact poses.
 
-#include <relidar/log/dataset.hpp>
+#include <relidar/read/dataset.hpp>
 #include <relidar/run/run.hpp>
 #include <relidar/train/train.hpp>
 

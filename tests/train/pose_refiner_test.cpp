@@ -6,10 +6,10 @@
 #include <random>
 
 #include <relidar/base/error.hpp>
-#include <relidar/log/dataset.hpp>
+#include <relidar/read/dataset.hpp>
 #include <relidar/train/train.hpp>
 
-#include "../log/registration/street_poses.hpp"
+#include "../registration/street_poses.hpp"
 #include "../support/device.hpp"
 #include "support/names.hpp"
 #include "train/frames/training_frames.hpp"

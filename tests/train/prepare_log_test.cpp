@@ -10,7 +10,7 @@
 #include <vector>
 
 #include <relidar/base/process_group.hpp>
-#include <relidar/log/dataset.hpp>
+#include <relidar/read/dataset.hpp>
 #include <relidar/train/train.hpp>
 
 #include "support/names.hpp"

@@ -8,7 +8,7 @@
 
 #include <relidar/base/arrays.hpp>
 #include <relidar/base/files.hpp>
-#include <relidar/log/dataset.hpp>
+#include <relidar/read/dataset.hpp>
 #include <relidar/run/checkpoint.hpp>
 #include <relidar/run/run.hpp>
 #include <relidar/score/evaluation.hpp>

@@ -5,13 +5,13 @@
 #include <limits>
 #include <optional>
 
-#include <relidar/log/dataset.hpp>
+#include <relidar/read/dataset.hpp>
 #include <relidar/run/checkpoint.hpp>
 #include <relidar/simulate/render.hpp>
 #include <relidar/train/train.hpp>
 
 #include "../base/codecs/temporary_folder.hpp"
-#include "../log/registration/street_poses.hpp"
+#include "../registration/street_poses.hpp"
 #include "../support/device.hpp"
 #include "../support/file_size_limit.hpp"
 #include "support/names.hpp"

@@ -7,7 +7,7 @@
 
 #include <gtest/gtest.h>
 
-#include <relidar/log/dataset.hpp>
+#include <relidar/read/dataset.hpp>
 
 namespace relidar {
 namespace {

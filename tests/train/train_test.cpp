@@ -5,7 +5,7 @@
 #include <map>
 
 #include <relidar/base/error.hpp>
-#include <relidar/log/dataset.hpp>
+#include <relidar/read/dataset.hpp>
 #include <relidar/simulate/render.hpp>
 #include <relidar/train/train.hpp>
 

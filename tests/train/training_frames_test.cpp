@@ -8,7 +8,7 @@
 #include <map>
 #include <numeric>
 
-#include <relidar/log/dataset.hpp>
+#include <relidar/read/dataset.hpp>
 #include <relidar/train/train.hpp>
 
 #include "../base/codecs/temporary_folder.hpp"

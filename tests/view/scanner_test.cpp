@@ -10,7 +10,7 @@
 #include <nlohmann/json.hpp>
 
 #include <relidar/base/error.hpp>
-#include <relidar/log/dataset.hpp>
+#include <relidar/read/dataset.hpp>
 #include <relidar/run/edit.hpp>
 #include <relidar/simulate/place_points.hpp>
 #include "../support/device.hpp"

@@ -13,7 +13,7 @@
 #include <relidar/base/error.hpp>
 #include <relidar/base/math.hpp>
 #include <relidar/gpu/device.hpp>
-#include <relidar/log/dataset.hpp>
+#include <relidar/read/dataset.hpp>
 #include <relidar/run/run.hpp>
 #include <relidar/simulate/render.hpp>
 

@@ -10,7 +10,7 @@
 
 #include <relidar/base/error.hpp>
 #include <relidar/gpu/device.hpp>
-#include <relidar/log/dataset.hpp>
+#include <relidar/read/dataset.hpp>
 #include <relidar/run/run.hpp>
 #include <relidar/run/stage_options.hpp>
 #include <relidar/score/evaluation.hpp>

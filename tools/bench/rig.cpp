@@ -12,7 +12,7 @@
 
 #include <relidar/base/error.hpp>
 #include <relidar/gpu/device.hpp>
-#include <relidar/log/dataset.hpp>
+#include <relidar/read/dataset.hpp>
 #include <relidar/log/sensor_files.hpp>
 #include <relidar/run/run.hpp>
 #include <relidar/simulate/render.hpp>

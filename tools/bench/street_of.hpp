@@ -4,7 +4,7 @@
 
 #include <string>
 
-#include <relidar/log/dataset.hpp>
+#include <relidar/read/dataset.hpp>
 #include <relidar/run/run.hpp>
 
 namespace relidar {

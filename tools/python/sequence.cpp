@@ -10,7 +10,7 @@
 #include <fmt/format.h>
 
 #include <relidar/base/error.hpp>
-#include <relidar/log/dataset.hpp>
+#include <relidar/read/dataset.hpp>
 #include <relidar/run/run.hpp>
 #include <relidar/run/stage_options.hpp>
 #include "arrays.hpp"

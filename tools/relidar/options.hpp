@@ -10,7 +10,7 @@
 #include <vector>
 
 #include <relidar/gpu/device.hpp>
-#include <relidar/log/dataset.hpp>
+#include <relidar/read/dataset.hpp>
 #include <relidar/run/config.hpp>
 
 namespace CLI {

@@ -18,7 +18,7 @@
 #include <unistd.h>
 
 #include <relidar/base/files.hpp>
-#include <relidar/log/dataset.hpp>
+#include <relidar/read/dataset.hpp>
 #include <relidar/run/checkpoint.hpp>
 #include <relidar/run/config.hpp>
 #include <relidar/run/run.hpp>

@@ -6,7 +6,7 @@
 
 #include <optional>
 
-#include <relidar/log/points.hpp>
+#include <relidar/read/points.hpp>
 #include <relidar/simulate/render.hpp>
 
 namespace relidar {

@@ -5,7 +5,7 @@
 #include <filesystem>
 
 #include <relidar/base/files.hpp>
-#include <relidar/log/points.hpp>
+#include <relidar/read/points.hpp>
 
 namespace relidar {
 

@@ -14,7 +14,7 @@
 #include <relidar/log/channels.hpp>
 #include <relidar/log/classes.hpp>
 #include <relidar/log/coverage.hpp>
-#include <relidar/log/points.hpp>
+#include <relidar/read/points.hpp>
 #include <relidar/log/range_image.hpp>
 #include <relidar/log/scatter.hpp>
 #include <relidar/log/sequence.hpp>

@@ -6,7 +6,7 @@
 #include <span>
 #include <vector>
 
-#include <relidar/log/packets.hpp>
+#include <relidar/read/packets.hpp>
 #include <relidar/simulate/scan_files.hpp>
 
 namespace relidar {

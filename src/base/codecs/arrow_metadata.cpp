@@ -12,7 +12,7 @@
 
 #include "base/fail.hpp"
 
-namespace relidar::arrow {
+namespace relidar::codecs {
 namespace {
 
 // Maximum number of tables in a file. The columns of a dataset need only tens of tables.
@@ -198,4 +198,4 @@ RecordBatch parse_record_batch_message(std::string_view message_bytes) {
     return batch;
 }
 
-}  // namespace relidar::arrow
+}  // namespace relidar::codecs

@@ -11,7 +11,7 @@
 #include <string_view>
 #include <vector>
 
-namespace relidar::arrow {
+namespace relidar::codecs {
 
 enum class ArrowValueKind { integer, floating, text };
 enum class ArrowCompression { none, lz4_frame, zstd };
@@ -73,4 +73,4 @@ Footer parse_arrow_footer(std::string_view footer_bytes);
 /// @throws DataError with the reason, without the file name
 RecordBatch parse_record_batch_message(std::string_view message_bytes);
 
-}  // namespace relidar::arrow
+}  // namespace relidar::codecs

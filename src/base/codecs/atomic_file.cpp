@@ -23,7 +23,7 @@ namespace relidar {
 namespace {
 
 namespace fs = std::filesystem;
-using report_detail::get_system_error_message;
+using codecs::get_system_error_message;
 
 [[noreturn]] void throw_write_error(const fs::path& path, std::string why) {
     // Messages of libraries may have several lines.
@@ -132,6 +132,6 @@ void remove_temporary_files(const fs::path& folder) {
     for (const fs::path& path : temporary_paths) fs::remove_all(path, failed);
 }
 
-void write_text_file(const fs::path& path, const std::string& text) { report_detail::write_file(path, text); }
+void write_text_file(const fs::path& path, const std::string& text) { codecs::write_file(path, text); }
 
 }  // namespace relidar

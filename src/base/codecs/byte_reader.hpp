@@ -14,7 +14,7 @@
 
 #include "base/fail.hpp"
 
-namespace relidar::bag {
+namespace relidar::codecs {
 
 static_assert(std::endian::native == std::endian::little,
               "numbers are read with the byte order of this machine, which must be little-endian");
@@ -49,4 +49,4 @@ private:
     std::size_t at_ = 0;
 };
 
-}  // namespace relidar::bag
+}  // namespace relidar::codecs

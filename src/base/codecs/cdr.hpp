@@ -8,7 +8,7 @@
 
 #include "base/bytes.hpp"
 
-namespace relidar::scan_files {
+namespace relidar::codecs {
 
 /// Little-endian. Numbers are aligned to their size, counted from the end of the header.
 class CdrWriter {
@@ -37,4 +37,4 @@ private:
     std::string bytes_ = std::string("\0\1\0\0", kHead);
 };
 
-}  // namespace relidar::scan_files
+}  // namespace relidar::codecs

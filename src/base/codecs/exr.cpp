@@ -80,7 +80,7 @@ void write_exr(const std::filesystem::path& path, int rows, int columns,
     } catch (const std::exception& error) {
         fail("cannot encode '{}' as EXR: {}", path.string(), error.what());
     }
-    report_detail::write_file(path, stream.content);
+    codecs::write_file(path, stream.content);
 }
 
 }  // namespace relidar

@@ -19,9 +19,9 @@
 namespace relidar {
 namespace {
 
-using arrow::ArrowCompression;
-using arrow::ArrowField;
-using arrow::ArrowValueKind;
+using codecs::ArrowCompression;
+using codecs::ArrowField;
+using codecs::ArrowValueKind;
 using Batch = Feather::Batch;
 
 constexpr std::string_view kMagic = "ARROW1";
@@ -58,7 +58,7 @@ std::string_view find_arrow_footer(std::string_view file_bytes) {
 }
 
 /// The message begins with 0xFFFFFFFF and the length of the flatbuffer.
-Batch read_record_batch(std::string_view file_bytes, const arrow::ArrowFileBlock& block) {
+Batch read_record_batch(std::string_view file_bytes, const codecs::ArrowFileBlock& block) {
     constexpr std::int64_t kPrefix = 8;
     const std::string_view message =
         get_byte_range_or_throw(file_bytes, block.offset, block.metadata_bytes, "a message");
@@ -67,7 +67,7 @@ Batch read_record_batch(std::string_view file_bytes, const arrow::ArrowFileBlock
         fail("found no record batch at byte {}, expected a Feather file of Arrow 0.15 or later",
              block.offset);
     const auto n = read_little_endian<std::int32_t>(message, 4);
-    return {arrow::parse_record_batch_message(get_byte_range_or_throw(message, kPrefix, n, "a message")),
+    return {codecs::parse_record_batch_message(get_byte_range_or_throw(message, kPrefix, n, "a message")),
             get_byte_range_or_throw(file_bytes, block.offset + block.metadata_bytes, block.body_bytes,
                                     "a record batch")};
 }
@@ -75,7 +75,7 @@ Batch read_record_batch(std::string_view file_bytes, const arrow::ArrowFileBlock
 /// The result may have padding behind n_expected_bytes.
 std::string decompress_buffer_of_batch(const Batch& batch, std::size_t buffer_index,
                                        std::size_t n_expected_bytes) {
-    const arrow::ArrowBufferRange& buffer_range = batch.layout.buffers.at(buffer_index);
+    const codecs::ArrowBufferRange& buffer_range = batch.layout.buffers.at(buffer_index);
     std::string_view stored =
         get_byte_range_or_throw(batch.body, buffer_range.offset, buffer_range.length, "a buffer");
     bool compressed = batch.layout.codec != ArrowCompression::none && !stored.empty();
@@ -102,7 +102,7 @@ std::size_t require_no_nulls_and_get_row_count(const Batch& batch, std::size_t n
     if (node_index >= batch.layout.nodes.size() || last_buffer_index >= batch.layout.buffers.size())
         fail("a record batch has {} columns and {} buffers, which is fewer than the schema requires",
              batch.layout.nodes.size(), batch.layout.buffers.size());
-    const arrow::ArrowFieldNode& field_node = batch.layout.nodes[node_index];
+    const codecs::ArrowFieldNode& field_node = batch.layout.nodes[node_index];
     if (field_node.length != batch.layout.length)
         fail("the column has {} rows in a record batch of {} rows, expected the same number",
              field_node.length, batch.layout.length);
@@ -188,7 +188,7 @@ Feather::Feather(const std::filesystem::path& file) : Feather(file.string(), rea
 Feather::Feather(std::string name_for_errors, std::string file_bytes)
     : name_(std::move(name_for_errors)), bytes_(std::move(file_bytes)) {
     try {
-        arrow::Footer footer = arrow::parse_arrow_footer(find_arrow_footer(bytes_));
+        codecs::Footer footer = codecs::parse_arrow_footer(find_arrow_footer(bytes_));
         Column at;
         for (ArrowField& field : footer.fields) {
             const std::size_t n_buffers = field.get_buffers_per_record_batch();
@@ -198,8 +198,8 @@ Feather::Feather(std::string name_for_errors, std::string file_bytes)
         }
         // Blocks do not overlap.
         std::int64_t left = std::int64_t(bytes_.size());
-        const auto read = [&](const std::vector<arrow::ArrowFileBlock>& blocks, std::vector<Batch>& batches) {
-            for (const arrow::ArrowFileBlock& block : blocks) {
+        const auto read = [&](const std::vector<codecs::ArrowFileBlock>& blocks, std::vector<Batch>& batches) {
+            for (const codecs::ArrowFileBlock& block : blocks) {
                 batches.push_back(read_record_batch(bytes_, block));
                 left -= block.metadata_bytes + block.body_bytes;
                 if (left < 0) fail("the record batches have more bytes than the file");

@@ -37,12 +37,12 @@ public:
     std::vector<std::string> read_text_column(const std::string& column_name) const;
 
     struct Batch {
-        arrow::RecordBatch layout;
+        codecs::RecordBatch layout;
         std::string_view body;
     };
     /// `node` and `buffer` are first indices in the lists of every record batch.
     struct Column {
-        arrow::ArrowField field;
+        codecs::ArrowField field;
         std::size_t node = 0, buffer = 0;
     };
 

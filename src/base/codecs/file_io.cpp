@@ -15,7 +15,7 @@
 #include <relidar/base/error.hpp>
 #include <relidar/base/files.hpp>
 
-namespace relidar::report_detail {
+namespace relidar::codecs {
 
 std::string format_metadata_line(const std::pair<std::string, std::string>& key_and_value) {
     std::string line = key_and_value.first + " " + key_and_value.second;
@@ -79,4 +79,4 @@ std::vector<std::byte> read_file(const std::filesystem::path& path) {
     return bytes;
 }
 
-}  // namespace relidar::report_detail
+}  // namespace relidar::codecs

@@ -14,7 +14,7 @@
 #include <utility>
 #include <vector>
 
-namespace relidar::report_detail {
+namespace relidar::codecs {
 
 static_assert(std::endian::native == std::endian::little, "every format written here is little-endian");
 
@@ -47,4 +47,4 @@ std::string format_metadata_line(const std::pair<std::string, std::string>& key_
 /// Like strerror.
 std::string get_system_error_message(int error_number);
 
-}  // namespace relidar::report_detail
+}  // namespace relidar::codecs

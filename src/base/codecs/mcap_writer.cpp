@@ -14,7 +14,7 @@
 
 #include "base/bytes.hpp"
 
-namespace relidar::scan_files {
+namespace relidar::codecs {
 namespace {
 
 static_assert(std::endian::native == std::endian::little, "MCAP is little-endian");
@@ -183,4 +183,4 @@ void McapWriter::write_summary_and_close() {
     if (!file_) fail("cannot write '{}': the disk is probably full", path_.string());
 }
 
-}  // namespace relidar::scan_files
+}  // namespace relidar::codecs

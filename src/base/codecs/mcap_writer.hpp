@@ -12,7 +12,7 @@
 #include <string_view>
 #include <vector>
 
-namespace relidar::scan_files {
+namespace relidar::codecs {
 
 class McapWriter {
 public:
@@ -61,4 +61,4 @@ private:
     std::string encode_summary_and_list_groups(std::vector<SummaryRecordGroup>& record_groups) const;
 };
 
-}  // namespace relidar::scan_files
+}  // namespace relidar::codecs

@@ -82,7 +82,7 @@ Converter<Out> find_element_converter(std::string_view dtype) {
 
 template <class Out>
 std::vector<Out> require_numeric_and_convert_elements(const NamedArray& array) {
-    report_detail::require_valid_array_type_and_size(array);
+    codecs::require_valid_array_type_and_size(array);
     const Converter<Out> function = find_element_converter<Out>(array.dtype);
     if (!function)
         fail("array '{}' has values of the type '{}', expected numbers such as 'f4' or 'i4'", array.name,
@@ -122,7 +122,7 @@ std::u32string decode_utf8_code_points(std::string_view utf8) {
 
 }  // namespace
 
-namespace report_detail {
+namespace codecs {
 
 std::size_t get_element_size_bytes(std::string_view numpy_type) {
     if (numpy_type.starts_with('S') || numpy_type.starts_with('U')) {
@@ -159,10 +159,10 @@ void require_valid_array_type_and_size(const NamedArray& array) {
              array.bytes.size(), fmt::join(array.shape, ", "), array.dtype);
 }
 
-}  // namespace report_detail
+}  // namespace codecs
 
 std::size_t NamedArray::count_array_elements() const {
-    const auto n = report_detail::compute_array_size_bytes(shape, 1);
+    const auto n = codecs::compute_array_size_bytes(shape, 1);
     if (!n) fail("array '{}' has the shape [{}], which is too large", name, fmt::join(shape, ", "));
     return *n;
 }

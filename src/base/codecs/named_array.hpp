@@ -9,7 +9,7 @@
 
 #include <relidar/base/arrays.hpp>
 
-namespace relidar::report_detail {
+namespace relidar::codecs {
 
 /// Returns 0 if NamedArray does not support the type.
 std::size_t get_element_size_bytes(std::string_view numpy_type);
@@ -22,4 +22,4 @@ std::optional<std::size_t> compute_array_size_bytes(const std::vector<std::size_
 /// does not match its shape
 void require_valid_array_type_and_size(const NamedArray& array);
 
-}  // namespace relidar::report_detail
+}  // namespace relidar::codecs

@@ -18,7 +18,7 @@
 
 #include "named_array.hpp"
 
-namespace relidar::report_detail {
+namespace relidar::codecs {
 namespace {
 
 constexpr std::string_view kNpyMagic{"\x93NUMPY", 6};
@@ -184,4 +184,4 @@ NamedArray parse_npy(const std::string& array_name, const std::vector<std::byte>
     return array;
 }
 
-}  // namespace relidar::report_detail
+}  // namespace relidar::codecs

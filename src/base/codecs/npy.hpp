@@ -8,7 +8,7 @@
 
 #include <relidar/base/arrays.hpp>
 
-namespace relidar::report_detail {
+namespace relidar::codecs {
 
 /// Version 1.0, padded to a multiple of 64 bytes.
 std::string make_npy_header(const NamedArray& array);
@@ -17,4 +17,4 @@ std::string make_npy_header(const NamedArray& array);
 /// @throws DataError with the reason for any other version, type or order
 NamedArray parse_npy(const std::string& array_name, const std::vector<std::byte>& bytes);
 
-}  // namespace relidar::report_detail
+}  // namespace relidar::codecs

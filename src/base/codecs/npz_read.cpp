@@ -50,7 +50,7 @@ NamedArray read_zip_entry(zip_t* archive, const zip_stat_t& entry) {
     if (n_read != zip_int64_t(bytes.size()) || zip_fread(file.get(), &more, 1) != 0)
         fail("found {} of {} bytes: {}", n_read, bytes.size(), zip_file_strerror(file.get()));
     name.resize(name.size() - kSuffix.size());
-    return report_detail::parse_npy(name, bytes);
+    return codecs::parse_npy(name, bytes);
 }
 
 std::vector<NamedArray> parse_npz(const std::vector<std::byte>& bytes) {
@@ -76,7 +76,7 @@ std::vector<NamedArray> parse_npz(const std::vector<std::byte>& bytes) {
 }  // namespace
 
 std::vector<NamedArray> read_npz(const std::filesystem::path& path) {
-    const std::vector<std::byte> bytes = report_detail::read_file(path);
+    const std::vector<std::byte> bytes = codecs::read_file(path);
     try {
         return parse_npz(bytes);
     } catch (const DataError& error) {
@@ -85,9 +85,9 @@ std::vector<NamedArray> read_npz(const std::filesystem::path& path) {
 }
 
 NamedArray read_npy(const std::filesystem::path& path) {
-    const std::vector<std::byte> bytes = report_detail::read_file(path);
+    const std::vector<std::byte> bytes = codecs::read_file(path);
     try {
-        return report_detail::parse_npy(path.stem().string(), bytes);
+        return codecs::parse_npy(path.stem().string(), bytes);
     } catch (const DataError& error) {
         fail("cannot read npy '{}': {}", path.string(), error.what());
     }

@@ -26,7 +26,7 @@ void check_arrays(const std::vector<NamedArray>& arrays) {
     if (arrays.empty()) fail("found no array, expected at least one");
     std::set<std::string> names;
     for (const NamedArray& array : arrays) {
-        report_detail::require_valid_array_type_and_size(array);
+        codecs::require_valid_array_type_and_size(array);
         if (!names.insert(array.name).second) fail("array name '{}' is used twice", array.name);
     }
 }
@@ -54,7 +54,7 @@ zip_source_t* make_zip(const std::vector<NamedArray>& arrays) {
     std::list<std::string> headers;
     try {
         for (const NamedArray& array : arrays)
-            add_array(archive, array, headers.emplace_back(report_detail::make_npy_header(array)));
+            add_array(archive, array, headers.emplace_back(codecs::make_npy_header(array)));
         if (zip_close(archive) != 0) fail("{}", zip_strerror(archive));
     } catch (...) {
         zip_discard(archive);
@@ -71,7 +71,7 @@ void write_npz(const std::filesystem::path& path, const std::vector<NamedArray>&
         check_arrays(arrays);
         const std::unique_ptr<zip_source_t, decltype(&zip_source_free)> zip(make_zip(arrays),
                                                                             zip_source_free);
-        report_detail::OutputFile file(temporary);
+        codecs::OutputFile file(temporary);
         zip_source_open(zip.get());
         std::array<char, 1 << 16> piece;
         for (zip_int64_t n; (n = zip_source_read(zip.get(), piece.data(), piece.size())) > 0;)

@@ -69,7 +69,7 @@ std::vector<std::uint8_t> encode_png(const Image& image, const FileMetadata& met
 
 void write_png(const std::filesystem::path& path, const Image& image, const FileMetadata& metadata) {
     const std::vector<std::uint8_t> bytes = encode_png(image, metadata);
-    report_detail::write_file(path, {reinterpret_cast<const char*>(bytes.data()), bytes.size()});
+    codecs::write_file(path, {reinterpret_cast<const char*>(bytes.data()), bytes.size()});
 }
 
 }  // namespace relidar

@@ -25,8 +25,8 @@ namespace relidar {
 namespace {
 
 using Json = nlohmann::json;
-using report_detail::compute_array_size_bytes;
-using report_detail::get_element_size_bytes;
+using codecs::compute_array_size_bytes;
+using codecs::get_element_size_bytes;
 
 // Bytes. The format allows 100 MB, but a parsed header needs 24 times as much memory.
 constexpr std::size_t kMaxHeader = 4u << 20;
@@ -72,7 +72,7 @@ std::string make_safetensors_header(const std::vector<NamedArray>& arrays,
     if (!metadata.empty()) header[kMetadata] = metadata;
     std::size_t offset = 0;
     for (const NamedArray& array : arrays) {
-        report_detail::require_valid_array_type_and_size(array);
+        codecs::require_valid_array_type_and_size(array);
         if (array.name == kMetadata || header.contains(array.name))
             fail("array name '{}' is reserved or used twice", array.name);
         const std::size_t end = offset + array.bytes.size();
@@ -220,7 +220,7 @@ void write_safetensors(const std::filesystem::path& path, const std::vector<Name
     write_file_atomically(path, [&](const std::filesystem::path& temporary) {
         const std::string header = make_safetensors_header(arrays, metadata);
         const std::uint64_t size = header.size();
-        report_detail::OutputFile file(temporary);
+        codecs::OutputFile file(temporary);
         file.write(&size, sizeof size);
         file.write(header);
         for (const NamedArray& array : arrays) file.write(array.bytes.data(), array.bytes.size());
@@ -230,7 +230,7 @@ void write_safetensors(const std::filesystem::path& path, const std::vector<Name
 
 std::vector<NamedArray> read_safetensors(const std::filesystem::path& path,
                                          std::map<std::string, std::string>* metadata) {
-    const std::vector<std::byte> file = report_detail::read_file(path);
+    const std::vector<std::byte> file = codecs::read_file(path);
     try {
         return parse_safetensors_file(file, metadata);
     } catch (const std::exception& error) {

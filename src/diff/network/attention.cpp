@@ -5,7 +5,7 @@
 
 #include "base/assert.hpp"
 
-namespace relidar::refine {
+namespace relidar::network {
 namespace {
 
 constexpr std::uint32_t kAttentionThreads = 64;  // threads per workgroup
@@ -144,4 +144,4 @@ void Attention::backpropagate_to_qkv(Stream& stream, const ChannelSlice& qkv, At
             view_as_head_matrices(d_key, heads_, false), size, pixels, scale);
 }
 
-}  // namespace relidar::refine
+}  // namespace relidar::network

@@ -5,7 +5,7 @@
 #include "diff/network/tensor.hpp"
 #include "gpu/stream.hpp"
 
-namespace relidar::refine {
+namespace relidar::network {
 
 struct AttentionActivations {
     /// Attention weights [n, heads, pixels, pixels] (softmax of the scores). A row
@@ -41,4 +41,4 @@ private:
                      bool is_backward) const;
 };
 
-}  // namespace relidar::refine
+}  // namespace relidar::network

@@ -11,7 +11,7 @@
 #include "base/assert.hpp"
 #include "base/fail.hpp"
 
-namespace relidar::refine {
+namespace relidar::network {
 namespace {
 
 constexpr std::uint32_t kConvThreads = 64;  // threads per workgroup
@@ -149,4 +149,4 @@ void ConvolutionKernels::backpropagate_weights(Stream& stream, const ChannelSlic
          .n = n});
 }
 
-}  // namespace relidar::refine
+}  // namespace relidar::network

@@ -8,7 +8,7 @@
 #include "diff/network/tensor.hpp"
 #include "gpu/stream.hpp"
 
-namespace relidar::refine {
+namespace relidar::network {
 
 class ConvolutionKernels {
 public:
@@ -52,4 +52,4 @@ private:
     std::size_t count_weight_gradient_threads(const shared::ConvWeightsParams& params) const;
 };
 
-}  // namespace relidar::refine
+}  // namespace relidar::network

@@ -6,7 +6,7 @@
 
 #include "diff/network/drop_network.hpp"
 
-namespace relidar::refine {
+namespace relidar::network {
 namespace {
 
 template <class Joined, class Values>
@@ -117,4 +117,4 @@ void RayDropInputs::fill_input_batch(Stream& stream, std::span<const RotatedSamp
     run(stream, kernel_, output_images.grid.count_all_pixels(), params);
 }
 
-}  // namespace relidar::refine
+}  // namespace relidar::network

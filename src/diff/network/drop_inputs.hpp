@@ -11,7 +11,7 @@
 #include "diff/network/tensor.hpp"
 #include "gpu/stream.hpp"
 
-namespace relidar::refine {
+namespace relidar::network {
 
 /// Returns scale and shift of each input channel, [channels, 2]. They convert a channel
 /// to mean 0 and standard deviation 1 over all images. A constant channel becomes 0.
@@ -63,4 +63,4 @@ private:
                           shared::DropInputsParams params, const Tensor& output_images);
 };
 
-}  // namespace relidar::refine
+}  // namespace relidar::network

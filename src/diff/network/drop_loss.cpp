@@ -3,7 +3,7 @@
 
 #include <algorithm>
 
-namespace relidar::refine {
+namespace relidar::network {
 namespace {
 
 constexpr std::uint32_t kLossThreads = 64;  // threads per workgroup
@@ -47,4 +47,4 @@ RayDropScore RayDropLoss::read_loss_and_accuracy(std::size_t n_known_pixels) con
     return score;
 }
 
-}  // namespace relidar::refine
+}  // namespace relidar::network

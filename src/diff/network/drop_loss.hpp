@@ -6,7 +6,7 @@
 #include "diff/network/tensor.hpp"
 #include "gpu/stream.hpp"
 
-namespace relidar::refine {
+namespace relidar::network {
 
 struct RayDropScore {
     double entropy = 0.0;   ///< mean cross-entropy of the measured outcomes
@@ -40,4 +40,4 @@ private:
     Array<float, shared::PartSums> partial_;
 };
 
-}  // namespace relidar::refine
+}  // namespace relidar::network

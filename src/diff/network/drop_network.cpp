@@ -16,7 +16,7 @@ namespace {
 
 constexpr int kMostWidth = 512, kMostLevels = 6;
 
-using refine::NetworkRegularisation;
+using network::NetworkRegularisation;
 
 /// Predefined network architecture. The numbers of channels are listed for each level,
 /// starting at full image size, and are multiplied by `width`.
@@ -52,10 +52,10 @@ std::vector<std::string> list_network_input_channels(const RayDropNetworkOptions
 }
 
 std::size_t count_network_parameters(const RayDropNetworkOptions& options) {
-    return refine::UnetParameterLayout(refine::make_network_architecture(options)).n_parameters;
+    return network::UnetParameterLayout(network::make_network_architecture(options)).n_parameters;
 }
 
-namespace refine {
+namespace network {
 
 RayDropNetwork make_network_architecture(const RayDropNetworkOptions& options) {
     const NetworkPreset& preset = find_predefined_network(options.network);
@@ -124,5 +124,5 @@ void require_valid_network_image(const RayDropNetwork& network, const RayDropIma
     }
 }
 
-}  // namespace refine
+}  // namespace network
 }  // namespace relidar

@@ -9,7 +9,7 @@
 
 #include <relidar/diff/network.hpp>
 
-namespace relidar::refine {
+namespace relidar::network {
 
 /// Returns a network without parameters, with the shape that the options describe.
 /// @throws UsageError if the network is unknown, too wide or too deep, or the number of
@@ -41,4 +41,4 @@ std::uint32_t count_scene_independent_channels(const RayDropNetwork& network);
 void require_valid_network_image(const RayDropNetwork& network, const RayDropImage& image,
                                  const std::string& description);
 
-}  // namespace relidar::refine
+}  // namespace relidar::network

@@ -24,7 +24,7 @@ const RayDropNetwork& require_valid_network(const RayDropNetwork& network) {
             "cannot use the ray-drop network: found {} levels, {} input channels and kernels of {} pixels, "
             "expected at least 1 level, at least 1 input channel, and kernels of 1 or 9 pixels",
             network.widths.size(), network.inputs.size(), network.taps);
-    const refine::UnetParameterLayout plan(network);
+    const network::UnetParameterLayout plan(network);
     const auto check = [](const char* description, std::size_t found, std::size_t expected) {
         if (found != expected)
             fail("cannot use the ray-drop network: it has {} {}, but its architecture requires {}", found,
@@ -39,22 +39,22 @@ const RayDropNetwork& require_valid_network(const RayDropNetwork& network) {
 }  // namespace
 
 void compile_network_pipelines(Device& device, const RayDropNetworkOptions& options) {
-    RayDropNetwork network = refine::make_network_architecture(options);
-    const refine::UnetParameterLayout plan(network);
-    refine::initialise_network_parameters(network, plan, 0);
+    RayDropNetwork network = network::make_network_architecture(options);
+    const network::UnetParameterLayout plan(network);
+    network::initialise_network_parameters(network, plan, 0);
     network.normalisation.assign(2 * network.inputs.size(), 0.0f);
-    const refine::RayDropInputs inputs(device, network);
-    const refine::Unet unet(device, network);
-    const refine::RayDropLoss loss(device, 1);
+    const network::RayDropInputs inputs(device, network);
+    const network::Unet unet(device, network);
+    const network::RayDropLoss loss(device, 1);
 }
 
 namespace {
 
 struct SizedRayDropNetwork {
-    refine::ImageBatchSize grid{};
-    refine::RayDropInputs inputs;
-    refine::Unet unet;
-    std::optional<refine::RayDropLoss> loss = {};
+    network::ImageBatchSize grid{};
+    network::RayDropInputs inputs;
+    network::Unet unet;
+    std::optional<network::RayDropLoss> loss = {};
     Array<float, shared::DropProbabilities> probability = {};
 
     SizedRayDropNetwork(Device& device, const RayDropNetwork& network)
@@ -77,11 +77,11 @@ struct RayDropInference::Impl {
     }
 
     SizedRayDropNetwork& get_or_make_network_for_image_size(Stream& stream,
-                                                            const refine::ImageBatchSize& image_grid) {
+                                                            const network::ImageBatchSize& image_grid) {
         auto cache_entry = std::ranges::find(shaped, image_grid, &SizedRayDropNetwork::grid);
         const bool is_new = cache_entry == shaped.end();
         if (is_new)
-            cache_entry = std::ranges::find(shaped, refine::ImageBatchSize{}, &SizedRayDropNetwork::grid);
+            cache_entry = std::ranges::find(shaped, network::ImageBatchSize{}, &SizedRayDropNetwork::grid);
         if (cache_entry == shaped.end() && shaped.size() < kShapes)
             cache_entry = shaped.emplace(shaped.end(), device, network);
         if (cache_entry == shaped.end()) {
@@ -116,10 +116,10 @@ const Array<float, shared::DropProbabilities>& RayDropInference::record_network_
             "cannot apply the ray-drop network: the image has {} x {} pixels, expected at least {} rows and "
             "columns",
             rows, columns, side);
-    const refine::ImageBatchSize grid{1, std::uint32_t(rows), std::uint32_t(columns), circular};
+    const network::ImageBatchSize grid{1, std::uint32_t(rows), std::uint32_t(columns), circular};
     RELIDAR_ASSERT_LE(r.network.inputs.size() * grid.count_pixels_per_image(), input_channels.size());
     SizedRayDropNetwork& shaped = r.get_or_make_network_for_image_size(stream, grid);
-    const refine::RayDropInputs::RotatedSample unrotated_sample{};
+    const network::RayDropInputs::RotatedSample unrotated_sample{};
     shaped.inputs.fill_input_batch(stream, {&unrotated_sample, 1}, input_channels.address(),
                                    shaped.unet.get_input_images());
     shaped.unet.run_inference(stream);
@@ -154,7 +154,7 @@ RayDropInference& RayDropRefiner::get_ray_drop_inference() { return impl_->pass;
 
 std::vector<float> RayDropRefiner::predict_drop_probabilities(const RayDropImage& image) {
     Impl& r = *impl_;
-    refine::require_valid_network_image(network(), image, "cannot apply the ray-drop network to a scan");
+    network::require_valid_network_image(network(), image, "cannot apply the ray-drop network to a scan");
     r.stream.submit_and_wait();
     r.channels.reserve(r.device, image.channels.size(), "input channels of the ray-drop network");
     r.channels.upload(image.channels);

@@ -12,7 +12,7 @@
 #include "diff/network/drop_network.hpp"
 #include "diff/network/unet.hpp"
 
-namespace relidar::refine {
+namespace relidar::network {
 namespace {
 
 constexpr double kLastRate = 0.01;         // final learning rate relative to the initial rate
@@ -155,4 +155,4 @@ void RayDropTraining::restore_training_state(const RayDropTrainState& state) {
     impl_->adam.get_second_moments().upload(state.moment2);
 }
 
-}  // namespace relidar::refine
+}  // namespace relidar::network

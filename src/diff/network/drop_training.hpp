@@ -12,7 +12,7 @@
 #include "diff/network/drop_inputs.hpp"
 #include "diff/network/drop_loss.hpp"
 
-namespace relidar::refine {
+namespace relidar::network {
 
 class RayDropTraining {
 public:
@@ -45,4 +45,4 @@ private:
     std::unique_ptr<Impl> impl_;
 };
 
-}  // namespace relidar::refine
+}  // namespace relidar::network

@@ -5,7 +5,7 @@
 
 #include "base/assert.hpp"
 
-namespace relidar::refine {
+namespace relidar::network {
 namespace {
 
 constexpr std::uint32_t kNormThreads = 64;  // threads per workgroup
@@ -156,4 +156,4 @@ void NormalisationKernels::backpropagate_bias(Stream& stream, const ChannelSlice
          .n = d_output.channels});
 }
 
-}  // namespace relidar::refine
+}  // namespace relidar::network

@@ -6,7 +6,7 @@
 #include "diff/network/tensor.hpp"
 #include "gpu/stream.hpp"
 
-namespace relidar::refine {
+namespace relidar::network {
 
 struct NormWeights {
     Address<glm::vec2, shared::BetaGamma> beta_gamma;  ///< [channels] beta and gamma of each channel
@@ -75,4 +75,4 @@ private:
                                  NormActivations& state, bool is_training) const;
 };
 
-}  // namespace relidar::refine
+}  // namespace relidar::network

@@ -3,7 +3,7 @@
 
 #include "base/assert.hpp"
 
-namespace relidar::refine {
+namespace relidar::network {
 namespace {
 
 shared::ResampleParams make_resample_params(const ChannelSlice& input, const ChannelSlice& output,
@@ -65,4 +65,4 @@ void ResamplingKernels::backpropagate_upsample(Stream& stream, const ChannelSlic
         make_resample_params(d_output, d_input, d_output.grid, d_input.grid));
 }
 
-}  // namespace relidar::refine
+}  // namespace relidar::network

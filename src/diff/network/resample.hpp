@@ -5,7 +5,7 @@
 #include "diff/network/tensor.hpp"
 #include "gpu/stream.hpp"
 
-namespace relidar::refine {
+namespace relidar::network {
 
 /// Half the rows and half the columns, rounded down.
 ImageBatchSize halve_image_size(const ImageBatchSize& grid);
@@ -26,4 +26,4 @@ private:
     Kernel<shared::ResampleParams> pool_, pool_vjp_, upsample_, upsample_vjp_;
 };
 
-}  // namespace relidar::refine
+}  // namespace relidar::network

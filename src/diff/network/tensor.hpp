@@ -12,7 +12,7 @@
 
 #include "diff/shared/refine.h"
 
-namespace relidar::refine {
+namespace relidar::network {
 
 struct ImageBatchSize {
     std::uint32_t n = 0, rows = 0, columns = 0;
@@ -52,4 +52,4 @@ struct Tensor {
     }
 };
 
-}  // namespace relidar::refine
+}  // namespace relidar::network

@@ -20,16 +20,16 @@ namespace {
 
 /// Draws the order of the images and their rotations for one epoch. The seed depends on
 /// the epoch, so that a resumed training draws the same values.
-std::vector<refine::RayDropInputs::RotatedSample> sample_epoch_order_and_rotations(
+std::vector<network::RayDropInputs::RotatedSample> sample_epoch_order_and_rotations(
     std::size_t n_images, int n_columns, bool rotate_images, std::uint64_t seed, int epoch) {
     std::mt19937_64 random(seed * 1000003u + std::uint64_t(epoch));
-    std::vector<refine::RayDropInputs::RotatedSample> chosen(n_images);
+    std::vector<network::RayDropInputs::RotatedSample> chosen(n_images);
     for (std::size_t i = 0; i < n_images; ++i) {
         const std::size_t j = random() % (i + 1);  // inside-out variant of the Fisher-Yates shuffle
         if (i != j) chosen[i].sample = chosen[j].sample;
         chosen[j].sample = std::uint32_t(i);
     }
-    for (refine::RayDropInputs::RotatedSample& c : chosen)
+    for (network::RayDropInputs::RotatedSample& c : chosen)
         c.column_shift = rotate_images ? std::uint32_t(random() % std::uint64_t(n_columns)) : 0;
     return chosen;
 }
@@ -41,7 +41,7 @@ struct TrainingRunState {
     const double before_s;     ///< duration of earlier sessions of this training, s
     const std::chrono::steady_clock::time_point begin = std::chrono::steady_clock::now();
 
-    TrainingRunState(const refine::RayDropTraining& training, const RayDropNetworkOptions& options,
+    TrainingRunState(const network::RayDropTraining& training, const RayDropNetworkOptions& options,
                      const RayDropTrainState& start)
         : batch(training.get_images_per_step()),
           n_steps(training.count_steps_per_epoch()),
@@ -60,7 +60,7 @@ struct TrainingRunState {
 
     int get_epoch_index() const { return int(std::size_t(report.step - 1) / n_steps); }
 
-    void add_step_score(const refine::RayDropScore& score, std::size_t step_in_epoch) {
+    void add_step_score(const network::RayDropScore& score, std::size_t step_in_epoch) {
         entropy += score.entropy;
         accuracy += score.accuracy;
         report.epoch = get_epoch_index() + 1;
@@ -82,7 +82,7 @@ RayDropNetwork train_ray_drop_network(Device& device, const std::vector<RayDropI
                                       const RayDropNetworkOptions& options, std::uint64_t seed,
                                       const RayDropTrainCallback& progress,
                                       const RayDropTrainState* resume_state) {
-    refine::RayDropTraining training(device, images, options, seed);
+    network::RayDropTraining training(device, images, options, seed);
     TrainingRunState course(training, options, resume_state ? *resume_state : RayDropTrainState{});
     if (resume_state) training.restore_training_state(*resume_state);
     const auto state = [&] {
@@ -93,14 +93,14 @@ RayDropNetwork train_ray_drop_network(Device& device, const std::vector<RayDropI
         result.seconds = course.report.seconds;
         return result;
     };
-    std::vector<refine::RayDropInputs::RotatedSample> order;
+    std::vector<network::RayDropInputs::RotatedSample> order;
     while (course.report.step < course.report.n_steps) {
         const std::size_t k = std::size_t(course.report.step++) % course.n_steps;  // step index in the epoch
         if (k == 0) course.entropy = course.accuracy = 0.0;
         if (k == 0 || order.empty())
             order = sample_epoch_order_and_rotations(
                 images.size(), images[0].columns,
-                refine::get_regularisation(options).turns && images[0].circular, seed,
+                network::get_regularisation(options).turns && images[0].circular, seed,
                 course.get_epoch_index());
         const auto chosen = std::span(order).subspan(k * course.batch, course.batch);
         course.add_step_score(training.train_on_batch(chosen, course.report.step, course.report.n_steps), k);

@@ -7,7 +7,7 @@
 
 #include <algorithm>
 
-namespace relidar::refine {
+namespace relidar::network {
 
 Unet::Unet(Device& device, const RayDropNetwork& network)
     : plan_(network),
@@ -227,4 +227,4 @@ void Unet::run_backward_pass(Stream& stream) {
     backpropagate_conv_parameters(stream, plan_.first_conv, inputs_, get_skip_connection_gradient(0));
 }
 
-}  // namespace relidar::refine
+}  // namespace relidar::network

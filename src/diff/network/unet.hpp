@@ -15,7 +15,7 @@
 #include "diff/network/norm.hpp"
 #include "diff/network/resample.hpp"
 
-namespace relidar::refine {
+namespace relidar::network {
 
 struct ConvParameterOffsets {
     std::uint32_t n_in = 0, n_out = 0, taps = 1;
@@ -140,4 +140,4 @@ private:
     void backpropagate_attention(Stream& stream);
 };
 
-}  // namespace relidar::refine
+}  // namespace relidar::network

@@ -8,7 +8,7 @@
 
 #include "diff/network/unet.hpp"
 
-namespace relidar::refine {
+namespace relidar::network {
 namespace {
 
 std::size_t reserve_aligned_float_offset(std::size_t& n_allocated, std::size_t n_floats) {
@@ -98,4 +98,4 @@ void initialise_network_parameters(RayDropNetwork& network, const UnetParameterL
     if (!network.residual) draw_conv(parameter_layout.last_conv);
 }
 
-}  // namespace relidar::refine
+}  // namespace relidar::network

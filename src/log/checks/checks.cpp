@@ -4,7 +4,7 @@
 
 #include <algorithm>
 
-#include <relidar/log/clouds.hpp>
+#include <relidar/log/checks.hpp>
 
 #include "base/parallel.hpp"
 

@@ -10,8 +10,8 @@
 
 #include "base/median.hpp"
 #include "log/checks/checks.hpp"
-#include "log/clouds/box_conventions.hpp"
-#include "log/clouds/match_sweeps.hpp"
+#include "log/checks/box_conventions.hpp"
+#include "log/sequence/match_sweeps.hpp"
 
 namespace relidar::checks {
 namespace {
@@ -241,7 +241,7 @@ void test_rotation(const CheckedLog& log, const FaultReport& report) {
 }
 
 void test_box_convention(const CheckedLog& log, const FaultReport& report) {
-    if (const std::string fault = folder::describe_box_fault(log.sequence); !fault.empty())
+    if (const std::string fault = checks::describe_box_fault(log.sequence); !fault.empty())
         report.add(-1, fault);
 }
 

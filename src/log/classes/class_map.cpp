@@ -4,8 +4,8 @@
 #include <cmath>
 #include <unordered_set>
 
-#include "base/cell_key.hpp"
-#include "base/nearest_place.hpp"
+#include "base/geometry/cell_key.hpp"
+#include "base/geometry/nearest_place.hpp"
 
 namespace relidar {
 namespace {

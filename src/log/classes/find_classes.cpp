@@ -8,8 +8,8 @@
 
 #include <relidar/log/sequence.hpp>
 
-#include "base/cell_key.hpp"
-#include "base/cell_numbers.hpp"
+#include "base/geometry/cell_key.hpp"
+#include "base/geometry/cell_numbers.hpp"
 #include "base/parallel.hpp"
 
 namespace relidar {

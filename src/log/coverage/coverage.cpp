@@ -6,7 +6,7 @@
 #include <limits>
 #include <tuple>
 
-#include "base/cell_key.hpp"
+#include "base/geometry/cell_key.hpp"
 
 namespace relidar {
 namespace {

@@ -18,10 +18,10 @@ namespace {
 constexpr int kTileColumns = 64;  // Number of columns of a tile. Each tile has one row.
 /// Tile t of a row depends on tile t - 1 of this row and, in the rows above, on tiles up
 /// to t + 1. Tiles with the same 2 * row + t are independent and run in parallel.
-static_assert(scatter_detail::kAhead <= kTileColumns);
+static_assert(scatter::kAhead <= kTileColumns);
 
 const IntensityScatterModel::DecisionTreeNode& find_tree_leaf(
-    const IntensityScatterModel& scatter, const scatter_detail::RayFeatureExtractor& feature_extractor,
+    const IntensityScatterModel& scatter, const scatter::RayFeatureExtractor& feature_extractor,
     int row, int column) {
     const IntensityScatterModel::DecisionTreeNode* node = &scatter.nodes.front();
     while (node->feature >= 0) {
@@ -34,14 +34,14 @@ const IntensityScatterModel::DecisionTreeNode& find_tree_leaf(
 
 }  // namespace
 
-std::size_t count_intensity_features() { return scatter_detail::kFeatures; }
+std::size_t count_intensity_features() { return scatter::kFeatures; }
 
 std::vector<float> sample_random_intensities(const IntensityScatterModel& scatter,
                                              const RenderedIntensityImage& rendered,
                                              std::span<const std::uint8_t> return_flags, std::uint64_t seed) {
     RELIDAR_ASSERT_EQ(return_flags.size(), std::size_t(rendered.rows) * std::size_t(rendered.columns));
     std::vector<float> drawn(return_flags.size(), kNoIntensity);
-    const scatter_detail::RayFeatureExtractor context(rendered, drawn);
+    const scatter::RayFeatureExtractor context(rendered, drawn);
     const auto draw_tile = [&](int row, int tile) {
         const int end = std::min((tile + 1) * kTileColumns, rendered.columns);
         for (int column = tile * kTileColumns; column < end; ++column) {

@@ -21,9 +21,9 @@
 namespace relidar {
 namespace {
 
-using scatter_detail::kFeatures;
-using scatter_detail::RayFeatureExtractor;
-using scatter_detail::RayFeatures;
+using scatter::kFeatures;
+using scatter::RayFeatureExtractor;
+using scatter::RayFeatures;
 
 constexpr std::size_t kMostReturns = 2000000, kFewestReturns = 1000;
 constexpr std::size_t kFewestOfLeaf = 50;

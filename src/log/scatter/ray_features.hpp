@@ -14,7 +14,7 @@
 
 #include <relidar/log/scatter.hpp>
 
-namespace relidar::scatter_detail {
+namespace relidar::scatter {
 
 /// Offset from a ray to another ray of the range image. Negative rows are above the ray.
 struct RayOffset {
@@ -147,4 +147,4 @@ private:
     }
 };
 
-}  // namespace relidar::scatter_detail
+}  // namespace relidar::scatter

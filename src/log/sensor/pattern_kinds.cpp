@@ -90,7 +90,7 @@ std::string format_sensor_json(const SensorModel& sensor) {
                                                           nlohmann::ordered_json::error_handler_t::replace);
 }
 
-namespace pattern_detail {
+namespace sensor {
 
 double read_angle_member_as_rad(const JsonField& field, const std::string& name, double max_abs_deg) {
     const std::string in_rad = name + "_rad", in_deg = name + "_deg";
@@ -171,5 +171,5 @@ void require_finite_sum_and_valid_period(const std::string& sensor_name, double 
                          period_s);
 }
 
-}  // namespace pattern_detail
+}  // namespace sensor
 }  // namespace relidar

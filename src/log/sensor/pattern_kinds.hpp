@@ -51,7 +51,7 @@ PatternKind make_spinning_pattern_kind();
 PatternKind make_ray_table_pattern_kind();
 const PatternKind* find_pattern_kind(const JsonField& field);
 
-namespace pattern_detail {
+namespace sensor {
 
 /// Reads NAME_rad or NAME_deg and returns radians.
 /// @throws DataError if both are missing, or the angle is outside +-max_abs_deg
@@ -86,5 +86,5 @@ void require_allowed_ray_count(const std::string& sensor_name, double n_rays);
 void require_finite_sum_and_valid_period(const std::string& sensor_name, double sum_of_values,
                                          double period_s);
 
-}  // namespace pattern_detail
+}  // namespace sensor
 }  // namespace relidar

@@ -4,10 +4,10 @@
 #include <algorithm>
 #include <cmath>
 
-#include "base/cell_key.hpp"
-#include "base/cell_numbers.hpp"
+#include "base/geometry/cell_key.hpp"
+#include "base/geometry/cell_numbers.hpp"
 #include "base/joined.hpp"
-#include "base/plane_sums.hpp"
+#include "base/geometry/plane_sums.hpp"
 #include "log/sequence/beam_returns.hpp"
 
 namespace relidar {

@@ -11,7 +11,7 @@
 
 #include <relidar/log/sequence.hpp>
 
-#include "base/incidence.hpp"
+#include "base/geometry/incidence.hpp"
 #include "base/median.hpp"
 #include "log/sequence/beam_returns.hpp"
 

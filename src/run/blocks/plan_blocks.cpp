@@ -7,7 +7,7 @@
 #include <cmath>
 
 #include "base/fail.hpp"
-#include "base/nearest_place.hpp"
+#include "base/geometry/nearest_place.hpp"
 #include "run/blocks/frame_places.hpp"
 
 namespace relidar {

@@ -20,7 +20,7 @@
 namespace relidar {
 namespace {
 
-using namespace config_detail;
+using namespace config;
 
 /// Quotes are known for a TOML file, but not for the command line, because the shell
 /// removes them.

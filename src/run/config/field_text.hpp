@@ -16,7 +16,7 @@
 #include "base/number_text.hpp"
 #include "run/config/fields.hpp"
 
-namespace relidar::config_detail {
+namespace relidar::config {
 
 /// written in quotes in a TOML file
 template <class T>
@@ -93,4 +93,4 @@ std::optional<T> parse_setting_value(const std::string& text, const SettingValue
     }
 }
 
-}  // namespace relidar::config_detail
+}  // namespace relidar::config

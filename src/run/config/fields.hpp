@@ -11,7 +11,7 @@
 #include <relidar/log/channels.hpp>
 #include <relidar/run/config.hpp>
 
-namespace relidar::config_detail {
+namespace relidar::config {
 
 /// a range of numbers, or a list of texts
 struct SettingValueRange {
@@ -325,4 +325,4 @@ void visit_all_settings(C& config, Visitor&& visitor) {
                         "traverse again (as in the paper)"));
 }
 
-}  // namespace relidar::config_detail
+}  // namespace relidar::config

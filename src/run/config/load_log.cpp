@@ -3,7 +3,7 @@
 
 #include <cmath>
 
-#include <relidar/log/dataset.hpp>
+#include <relidar/read/dataset.hpp>
 
 #include "base/list_text.hpp"
 

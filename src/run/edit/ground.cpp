@@ -14,7 +14,7 @@
 #include <relidar/run/run.hpp>
 #include "base/fail.hpp"
 #include "base/median.hpp"
-#include "base/plane_sums.hpp"
+#include "base/geometry/plane_sums.hpp"
 #include "base/random.hpp"
 
 namespace relidar {

@@ -5,7 +5,7 @@
 
 #include "run/files/file_format.hpp"
 
-namespace relidar::run_detail {
+namespace relidar::files {
 namespace {
 
 constexpr const char* kCoverageFormat = "relidar coverage";
@@ -90,4 +90,4 @@ SurfaceClassMap load_class_map(const std::filesystem::path& path) {
     return map;
 }
 
-}  // namespace relidar::run_detail
+}  // namespace relidar::files

@@ -8,7 +8,7 @@
 #include <relidar/log/classes.hpp>
 #include <relidar/log/coverage.hpp>
 
-namespace relidar::run_detail {
+namespace relidar::files {
 
 /// `place` [blocks,3] int32 is the position of each block of 8 x 8 x 8 voxels, in blocks.
 /// `cells` [blocks,32] uint16 has one bit per voxel. Writes no file if no voxel is
@@ -24,4 +24,4 @@ void save_class_map(const std::filesystem::path& path, const SurfaceClassMap& cl
 /// another size
 SurfaceClassMap load_class_map(const std::filesystem::path& path);
 
-}  // namespace relidar::run_detail
+}  // namespace relidar::files

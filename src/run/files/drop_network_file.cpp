@@ -36,11 +36,11 @@ void read_network_architecture(const JsonField& architecture, RayDropNetwork& ne
 }  // namespace
 
 void save_ray_drop_network(const std::filesystem::path& path, const RayDropNetwork& network) {
-    using run_detail::make_vector_array;
+    using files::make_vector_array;
     const nlohmann::ordered_json shape = {{"image", network.image},   {"inputs", network.inputs},
                                           {"widths", network.widths}, {"heads", network.heads},
                                           {"taps", network.taps},     {"residual", int(network.residual)}};
-    run_detail::write_array_file(
+    files::write_array_file(
         path,
         {make_vector_array("normalisation", network.normalisation),
          make_vector_array("parameters", network.parameters), make_vector_array("running", network.running)},
@@ -48,7 +48,7 @@ void save_ray_drop_network(const std::filesystem::path& path, const RayDropNetwo
 }
 
 RayDropNetwork load_ray_drop_network(const std::filesystem::path& path) {
-    run_detail::ArrayFile file(path, kNetworkFormat, kNetworkVersion);
+    files::ArrayFile file(path, kNetworkFormat, kNetworkVersion);
     RayDropNetwork network;
     const std::string where = file.path + ": metadata shape";
     const nlohmann::json shape = parse_json(file.metadata["shape"], where);

@@ -15,7 +15,7 @@
 
 #include "base/fail.hpp"
 
-namespace relidar::run_detail {
+namespace relidar::files {
 
 inline constexpr auto kAnyLength = static_cast<std::size_t>(-1);
 
@@ -76,4 +76,4 @@ NamedArray make_vector_array(const std::string& name, const std::vector<Value>& 
     return make_array(name, {values.size()}, values.data(), values.size());
 }
 
-}  // namespace relidar::run_detail
+}  // namespace relidar::files

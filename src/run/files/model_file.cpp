@@ -147,8 +147,8 @@ void parse_blocks_json(const std::string& json_text, const std::string& error_lo
 constexpr const char* kSensorDrop = "sensor_drop";
 
 /// [channels, bins], if the file contains it.
-void read_sensor_drop_table(const run_detail::ArrayFile& file, Scene& scene) {
-    using run_detail::kAnyLength;
+void read_sensor_drop_table(const files::ArrayFile& file, Scene& scene) {
+    using files::kAnyLength;
     if (!find_array(file.arrays, kSensorDrop)) return;
     const NamedArray& array = file.find(kSensorDrop, "f4", {kAnyLength, kAnyLength});
     scene.sensor_drop = {int(array.shape[0]), int(array.shape[1]), array.convert_to_floats()};
@@ -203,17 +203,17 @@ void save_scene_to_model_file(const std::filesystem::path& path, const Scene& sc
         {kPrimitiveKey, get_primitive_properties(scene.surfels.primitive).name},
         {"layout", format_scene_layout_json(scene)}};
     if (!scene.blocks.empty()) metadata[kBlocks] = format_blocks_json(scene, path.parent_path());
-    run_detail::write_array_file(path, arrays, kModelFormat, kModelVersion, std::move(metadata));
+    files::write_array_file(path, arrays, kModelFormat, kModelVersion, std::move(metadata));
 }
 
 Scene load_scene_from_model_file(const std::filesystem::path& path) {
     if (!does_path_exist(path)) fail("{}: no such file", path.string());
-    const run_detail::ArrayFile file(path, kModelFormat, kModelVersion);
+    const files::ArrayFile file(path, kModelFormat, kModelVersion);
     const auto layout = file.metadata.find("layout"), blocks = file.metadata.find(kBlocks);
     if (layout == file.metadata.end())
         fail("{}: the metadata has no entry \"layout\", expected a model file that relidar has written",
              file.path);
-    const std::size_t n = file.find("mean", "f4", {run_detail::kAnyLength, 3}).shape[0];
+    const std::size_t n = file.find("mean", "f4", {files::kAnyLength, 3}).shape[0];
     const SurfelParameterSet parameters =
         read_surfel_parameter_set(file.path, file.metadata, kPrimitiveKey,
                                   [&](const char* name) { return find_array(file.arrays, name) != nullptr; });

@@ -95,14 +95,14 @@ void save_scene(const TrainedRun& run, const fs::path& folder, bool keep_block_f
 
 void write_run_files(const TrainedRun& run, const fs::path& folder, bool keep_block_files) {
     // The small text files first, so that an invalid value causes an error early.
-    write_text_file(folder / kSceneFile, run_detail::format_scene_json(run));
+    write_text_file(folder / kSceneFile, files::format_scene_json(run));
     save_run_config(run, folder);
     save_scene(run, folder, keep_block_files);
     if (!run.drop_network.empty()) save_ray_drop_network(folder / kDropNetworkFile, run.drop_network);
-    run_detail::save_azimuth_corrections(folder / kSweepsFile, run.sequence);
-    run_detail::save_coverage(folder / kCoverageFile, run.coverage);
-    run_detail::save_class_map(folder / kClassesFile, run.classes);
-    run_detail::save_intensity_scatter(folder / kScatterFile, run.intensity_scatter);
+    files::save_azimuth_corrections(folder / kSweepsFile, run.sequence);
+    files::save_coverage(folder / kCoverageFile, run.coverage);
+    files::save_class_map(folder / kClassesFile, run.classes);
+    files::save_intensity_scatter(folder / kScatterFile, run.intensity_scatter);
 }
 
 /// Error messages show the final file names, not the temporary names.
@@ -203,8 +203,8 @@ TrainedRun load_run(const fs::path& folder) {
     run.folder = folder;
     run.config = load_saved_config(folder / kConfigFile);
     const fs::path scene_path = folder / kSceneFile;
-    run_detail::SceneJsonContents scene =
-        run_detail::parse_scene_json(read_text_file(scene_path), scene_path.string());
+    files::SceneJsonContents scene =
+        files::parse_scene_json(read_text_file(scene_path), scene_path.string());
     run.sequence = std::move(scene.sequence);
     run.config = replace_automatic_max_range(std::move(run.config), run.sequence);
     run.split = std::move(scene.split);
@@ -217,14 +217,14 @@ TrainedRun load_run(const fs::path& folder) {
             fail("the file {} is missing, but this run has {} blocks with one file each", block.file.string(),
                  run.scene.blocks.size());
     if (does_path_exist(folder / kSweepsFile))
-        run_detail::load_azimuth_corrections(folder / kSweepsFile, run.sequence);
+        files::load_azimuth_corrections(folder / kSweepsFile, run.sequence);
     if (does_path_exist(folder / kCoverageFile))
-        run.coverage = run_detail::load_coverage(folder / kCoverageFile);
+        run.coverage = files::load_coverage(folder / kCoverageFile);
     if (does_path_exist(folder / kClassesFile))
-        run.classes = run_detail::load_class_map(folder / kClassesFile);
+        run.classes = files::load_class_map(folder / kClassesFile);
     if (does_path_exist(folder / kScatterFile))
         run.intensity_scatter =
-            run_detail::load_intensity_scatter(folder / kScatterFile, run.sequence.lidars.size());
+            files::load_intensity_scatter(folder / kScatterFile, run.sequence.lidars.size());
     if (does_path_exist(folder / kDropNetworkFile))
         run.drop_network = load_ray_drop_network(folder / kDropNetworkFile);
     if (run.scene.surfels.size() != scene.n_surfels) {

@@ -5,7 +5,7 @@
 
 #include "run/files/file_format.hpp"
 
-namespace relidar::run_detail {
+namespace relidar::files {
 namespace {
 
 constexpr const char* kScatterFormat = "relidar intensity scatter";
@@ -90,4 +90,4 @@ std::vector<IntensityScatterModel> load_intensity_scatter(const std::filesystem:
     return result;
 }
 
-}  // namespace relidar::run_detail
+}  // namespace relidar::files

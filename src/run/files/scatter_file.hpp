@@ -7,7 +7,7 @@
 
 #include <relidar/log/scatter.hpp>
 
-namespace relidar::run_detail {
+namespace relidar::files {
 
 /// The decision tree of LiDAR 0 is `0.feature`, `0.child`, `0.first`, `0.count` [nodes]
 /// i4 and `0.at` [nodes] f4. The other arrays are `0.values` [returns] f4 and `0.step`
@@ -20,4 +20,4 @@ void save_intensity_scatter(const std::filesystem::path& path,
 std::vector<IntensityScatterModel> load_intensity_scatter(const std::filesystem::path& path,
                                                           std::size_t n_lidars);
 
-}  // namespace relidar::run_detail
+}  // namespace relidar::files

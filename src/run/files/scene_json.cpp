@@ -16,7 +16,7 @@
 #include <relidar/log/sensor_pattern.hpp>
 #include "base/json_field.hpp"
 
-namespace relidar::run_detail {
+namespace relidar::files {
 namespace {
 
 using Json = nlohmann::ordered_json;
@@ -310,4 +310,4 @@ SceneJsonContents parse_scene_json(const std::string& json_text, const std::stri
     return scene;
 }
 
-}  // namespace relidar::run_detail
+}  // namespace relidar::files

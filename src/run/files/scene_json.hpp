@@ -7,7 +7,7 @@
 
 #include <relidar/run/run.hpp>
 
-namespace relidar::run_detail {
+namespace relidar::files {
 
 /// @throws DataError if the sequence is inconsistent or not finite
 std::string format_scene_json(const TrainedRun& run);
@@ -24,4 +24,4 @@ struct SceneJsonContents {
 /// @throws DataError naming the file and the field
 SceneJsonContents parse_scene_json(const std::string& json_text, const std::string& file_name);
 
-}  // namespace relidar::run_detail
+}  // namespace relidar::files

@@ -6,7 +6,7 @@
 
 #include "run/files/file_format.hpp"
 
-namespace relidar::run_detail {
+namespace relidar::files {
 namespace {
 
 constexpr const char* kSweepsFormat = "relidar sweeps";
@@ -51,4 +51,4 @@ void load_azimuth_corrections(const std::filesystem::path& path, LidarSequence& 
     }
 }
 
-}  // namespace relidar::run_detail
+}  // namespace relidar::files

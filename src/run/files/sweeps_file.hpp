@@ -6,7 +6,7 @@
 
 #include <relidar/log/sequence.hpp>
 
-namespace relidar::run_detail {
+namespace relidar::files {
 
 /// An array [columns] f4 in radians per frame, named by its index in scene.json. Frames
 /// without corrections have no array. Writes no file if no frame has corrections.
@@ -15,4 +15,4 @@ void save_azimuth_corrections(const std::filesystem::path& path, const LidarSequ
 /// outside -pi ... pi
 void load_azimuth_corrections(const std::filesystem::path& path, LidarSequence& sequence);
 
-}  // namespace relidar::run_detail
+}  // namespace relidar::files

@@ -20,7 +20,7 @@
 namespace relidar {
 namespace {
 
-using namespace metrics_detail;
+using namespace metrics;
 using PointPositions = std::vector<glm::dvec3>;
 
 // so that the PSNR of identical images is finite

@@ -8,7 +8,7 @@
 #include <cmath>
 
 #include "base/fail.hpp"
-#include "base/nearest_place.hpp"
+#include "base/geometry/nearest_place.hpp"
 #include "base/parallel.hpp"
 
 namespace relidar {

@@ -5,7 +5,7 @@
 #include <algorithm>
 #include <cmath>
 
-namespace relidar::metrics_detail {
+namespace relidar::metrics {
 namespace {
 
 // of ranges and intensities in the published protocol (docs/method.md section 8)
@@ -121,4 +121,4 @@ void add_masked_errors(MetricValues& row, const std::string& name_prefix, const 
     add_error_metrics_and_get_mse(row, name_prefix, unit_suffix, a, b);
 }
 
-}  // namespace relidar::metrics_detail
+}  // namespace relidar::metrics

@@ -9,7 +9,7 @@
 #include <relidar/log/range_image.hpp>
 #include <relidar/score/metrics.hpp>
 
-namespace relidar::metrics_detail {
+namespace relidar::metrics {
 
 using PixelMask = std::vector<bool>;
 using PixelValues = std::vector<double>;
@@ -45,4 +45,4 @@ void add_masked_errors(MetricValues& row, const std::string& name_prefix, const 
                        const std::vector<float>& first, const std::vector<float>& second,
                        const PixelMask& mask, double maximum);
 
-}  // namespace relidar::metrics_detail
+}  // namespace relidar::metrics

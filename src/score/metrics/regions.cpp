@@ -15,7 +15,7 @@
 namespace relidar {
 namespace {
 
-using namespace metrics_detail;
+using namespace metrics;
 
 PixelRegion make_range_band_region(const RangeImage& real_image, double min_range_m, double max_range_m) {
     PixelRegion region{fmt::format("range_{:.0f}_{:.0f}_m", min_range_m, max_range_m),

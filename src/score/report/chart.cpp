@@ -11,7 +11,7 @@
 
 #include "html.hpp"
 
-namespace relidar::report_detail {
+namespace relidar::report {
 namespace {
 
 // in SVG units, with space for the labels
@@ -234,4 +234,4 @@ std::string draw_svg_chart(const std::vector<const ReportCurve*>& curves, int wi
     return svg + "</svg>\n";
 }
 
-}  // namespace relidar::report_detail
+}  // namespace relidar::report

@@ -7,7 +7,7 @@
 
 #include <relidar/score/report.hpp>
 
-namespace relidar::report_detail {
+namespace relidar::report {
 
 /// Number of colours of curves. Further curves repeat the colours. The CSS classes of the
 /// colours are c0 ... c7.
@@ -22,4 +22,4 @@ std::string draw_svg_chart(const std::vector<const ReportCurve*>& curves, int wi
 
 bool should_draw_running_mean(const std::vector<const ReportCurve*>& curves);
 
-}  // namespace relidar::report_detail
+}  // namespace relidar::report

@@ -8,7 +8,7 @@
 
 #include "base/base64.hpp"
 
-namespace relidar::report_detail {
+namespace relidar::report {
 
 std::string escape_html(std::string_view text) {
     std::string result;
@@ -37,4 +37,4 @@ std::string make_png_data_url(const Image& image) {
     return "data:image/png;base64," + encode_base64(encode_png(image));
 }
 
-}  // namespace relidar::report_detail
+}  // namespace relidar::report

@@ -8,7 +8,7 @@
 
 #include <relidar/base/images.hpp>
 
-namespace relidar::report_detail {
+namespace relidar::report {
 
 /// For inside an HTML element or a quoted attribute.
 std::string escape_html(std::string_view text);
@@ -19,4 +19,4 @@ std::string format_number(double value);
 /// data:image/png;base64,...
 std::string make_png_data_url(const Image& image);
 
-}  // namespace relidar::report_detail
+}  // namespace relidar::report

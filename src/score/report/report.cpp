@@ -23,8 +23,8 @@
 namespace relidar {
 namespace {
 
-using report_detail::escape_html;
-using report_detail::format_number;
+using report::escape_html;
+using report::format_number;
 
 // A wider image, for example 66 x 1030 pixels, is stretched vertically, so that its rows
 // are visible.
@@ -181,11 +181,11 @@ std::string make_chart_html(const std::string& title, const std::vector<const Re
                             int width) {
     std::string legend;
     for (std::size_t i = 0; i < curves.size(); ++i)
-        legend += fmt::format("<li><i class=\"c{}\"></i>{}</li>", i % report_detail::kChartColours,
+        legend += fmt::format("<li><i class=\"c{}\"></i>{}</li>", i % report::kChartColours,
                               escape_html(split_metric_name_into_group_and_rest(curves[i]->name).second));
     return fmt::format("<div>{}\n{}<ul class=\"legend\">{}</ul></div>\n",
                        title.empty() ? "" : "<h3>" + escape_html(title) + "</h3>",
-                       report_detail::draw_svg_chart(curves, width, 300), legend);
+                       report::draw_svg_chart(curves, width, 300), legend);
 }
 
 std::string make_curves_html(const Report& report) {
@@ -198,7 +198,7 @@ std::string make_curves_html(const Report& report) {
                                [&](const auto& known) { return known.first == group; });
         if (it == charts.end()) it = charts.insert(charts.end(), {group, {}});
         it->second.push_back(&curve);
-        means = means || report_detail::should_draw_running_mean({&curve});
+        means = means || report::should_draw_running_mean({&curve});
     }
     std::string body;
     for (const auto& [title, members] : charts)
@@ -254,7 +254,7 @@ std::string make_timing_table_html(const MetricValues& kernel_times_ms) {
 std::string make_figure_html(const ReportFigure& figure) {
     std::vector<std::string> urls(figure.images.size());
     parallel_for(static_cast<int>(urls.size()), [&](int index) {
-        urls[std::size_t(index)] = report_detail::make_png_data_url(figure.images[std::size_t(index)].second);
+        urls[std::size_t(index)] = report::make_png_data_url(figure.images[std::size_t(index)].second);
     });
     std::string body;
     for (std::size_t i = 0; i < urls.size(); ++i) {
@@ -271,11 +271,11 @@ std::string make_report_page_html(const Report& report) {
     std::string html = "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n";
     html += "<meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n";
     html += fmt::format("<title>{}</title>\n<style>{}</style>\n</head>\n", escape_html(report.title),
-                        report_detail::kReportStyle);
+                        report::kReportStyle);
     html += fmt::format("<body>\n<main>\n<h1>{}</h1>\n", escape_html(report.title));
     html += fmt::format("<p class=\"summary\">{}</p>\n", escape_html(report.summary));
     for (const ReportView& view : report.views)
-        html += make_html_section(view.title, report_detail::make_3d_view_html(view, report.views.size()));
+        html += make_html_section(view.title, report::make_3d_view_html(view, report.views.size()));
     std::vector<std::string> figures(report.figures.size());
     parallel_for(static_cast<int>(figures.size()), [&](int index) {
         figures[std::size_t(index)] = make_figure_html(report.figures[std::size_t(index)]);
@@ -295,7 +295,7 @@ std::string make_report_page_html(const Report& report) {
             make_collapsed_html_section("The run", make_facts_html(report)) +
             make_collapsed_html_section("Time by kernel", timings);
     html += "<footer>Written by relidar</footer>\n</main>\n";
-    if (!report.views.empty()) html += report_detail::make_3d_view_script();
+    if (!report.views.empty()) html += report::make_3d_view_script();
     return html + "</body>\n</html>\n";
 }
 

@@ -6,7 +6,7 @@
 
 #include <string_view>
 
-namespace relidar::report_detail {
+namespace relidar::report {
 
 inline constexpr std::string_view kReportStyle =
     R"css(
@@ -80,4 +80,4 @@ circle.c4 { fill: var(--c4); } circle.c5 { fill: var(--c5); } circle.c6 { fill: 
 @media print { body { background: none; padding: 0; } section { break-inside: avoid; border: 0; padding: 0; } }
 )css";
 
-}  // namespace relidar::report_detail
+}  // namespace relidar::report

@@ -21,7 +21,7 @@ namespace relidar {
 // All JavaScript modules, from a file that cmake/Assets.cmake generates.
 std::span<const std::pair<std::string_view, std::string_view>> report_script_texts();
 
-namespace report_detail {
+namespace report {
 namespace {
 
 // on a page: 5.3 MB as base64
@@ -96,5 +96,5 @@ std::string make_3d_view_script() {
     return "<script>\n(() => {\n'use strict';\n" + script + "})();\n</script>\n";
 }
 
-}  // namespace report_detail
+}  // namespace report
 }  // namespace relidar

@@ -7,7 +7,7 @@
 
 #include <relidar/simulate/render.hpp>
 
-#include "base/incidence.hpp"
+#include "base/geometry/incidence.hpp"
 #include "base/parallel.hpp"
 #include "base/random.hpp"
 

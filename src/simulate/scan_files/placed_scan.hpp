@@ -10,7 +10,7 @@
 #include <relidar/base/files.hpp>
 #include <relidar/base/math.hpp>
 #include <relidar/log/channels.hpp>
-#include <relidar/log/points.hpp>
+#include <relidar/read/points.hpp>
 #include <relidar/simulate/render.hpp>
 #include <relidar/simulate/scan_files.hpp>
 

@@ -74,7 +74,7 @@ void write_ply(const std::filesystem::path& path, const LidarPoints& points, con
     require_equal_point_array_lengths(points);
     std::string text = "ply\nformat binary_little_endian 1.0\n";
     for (const auto& note : notes)
-        text += fmt::format("comment {}\n", report_detail::format_metadata_line(note));
+        text += fmt::format("comment {}\n", codecs::format_metadata_line(note));
     text += fmt::format("element vertex {}\n", points.size());
     for (const PointFileField& field : list_point_file_fields(points)) {
         std::string ply_name = field.name;
@@ -82,13 +82,13 @@ void write_ply(const std::filesystem::path& path, const LidarPoints& points, con
             if (field.name == std::string("normal_") + axis) ply_name = std::string("n") + axis;
         text += fmt::format("property {} {}\n", field.ply_type, ply_name);
     }
-    report_detail::write_file(path, text + "end_header\n" + pack_point_records(points));
+    codecs::write_file(path, text + "end_header\n" + pack_point_records(points));
 }
 
 void write_pcd(const std::filesystem::path& path, const LidarPoints& points, const FileMetadata& notes) {
     require_equal_point_array_lengths(points);
     std::string header = "# .PCD v0.7 - Point Cloud Data file format\n", names, sizes, types, counts;
-    for (const auto& note : notes) header += fmt::format("# {}\n", report_detail::format_metadata_line(note));
+    for (const auto& note : notes) header += fmt::format("# {}\n", codecs::format_metadata_line(note));
     for (const PointFileField& field : list_point_file_fields(points)) {
         names += fmt::format(" {}", field.name);
         sizes += fmt::format(" {}", field.bytes);
@@ -103,12 +103,12 @@ void write_pcd(const std::filesystem::path& path, const LidarPoints& points, con
     for (const double v : {t.x, t.y, t.z, q.w, q.x, q.y, q.z}) viewpoint.push_back(fmt::format("{}", v));
     header += fmt::format("WIDTH {}\nHEIGHT 1\nVIEWPOINT {}\nPOINTS {}\nDATA binary\n", n,
                           fmt::join(viewpoint, " "), n);
-    report_detail::write_file(path, header + pack_point_records(points));
+    codecs::write_file(path, header + pack_point_records(points));
 }
 
 void write_kitti_bin(const std::filesystem::path& path, const LidarPoints& points) {
     require_equal_point_array_lengths(points);
-    report_detail::write_file(path, pack_point_records({points.position_m, points.intensity}));
+    codecs::write_file(path, pack_point_records({points.position_m, points.intensity}));
 }
 
 }  // namespace relidar

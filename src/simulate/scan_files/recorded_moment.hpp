@@ -14,7 +14,7 @@
 #include <glm/glm.hpp>
 
 #include <relidar/base/math.hpp>
-#include <relidar/log/points.hpp>
+#include <relidar/read/points.hpp>
 
 namespace relidar {
 struct RenderedScan;

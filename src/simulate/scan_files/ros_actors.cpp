@@ -13,7 +13,7 @@ using Actors = std::vector<RecordedActor>;
 
 /// Each detection has the time at which the sensor points at the box.
 std::string make_detections_message(std::uint64_t stamp_ns, const Actors& actors) {
-    CdrWriter cdr;
+    codecs::CdrWriter cdr;
     add_header(cdr, stamp_ns, kWorldFrame);
     cdr.append_aligned_number(std::uint32_t(actors.size()));
     for (const RecordedActor& actor : actors) {
@@ -49,7 +49,7 @@ std::uint8_t get_autoware_label(std::string category) {
 }
 
 /// The UUID depends only on the name: two FNV-1a hashes, version 8 (custom UUID).
-void add_uuid_of_name(CdrWriter& cdr, const std::string& name) {
+void add_uuid_of_name(codecs::CdrWriter& cdr, const std::string& name) {
     constexpr int kVersionByte = 6, kVariantByte = 8;
     std::string bytes;
     for (std::uint64_t hash : {0xcbf29ce484222325u, 0x84222325cbf29ce4u}) {
@@ -67,7 +67,7 @@ void add_uuid_of_name(CdrWriter& cdr, const std::string& name) {
 /// Objects have no time stamps: their poses are at the time of the message.
 std::string make_tracked_objects_message(std::uint64_t stamp_ns, const Actors& actors) {
     constexpr std::uint8_t kOrientationAvailable = 2, kBoundingBox = 0;
-    CdrWriter cdr;
+    codecs::CdrWriter cdr;
     add_header(cdr, stamp_ns, kWorldFrame);
     cdr.append_aligned_number(std::uint32_t(actors.size()));
     for (const RecordedActor& actor : actors) {

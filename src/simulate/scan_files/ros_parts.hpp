@@ -15,29 +15,29 @@ constexpr std::uint64_t kNanoseconds = 1'000'000'000;  // nanoseconds per second
 // All elements are 0, because simulated poses and velocities are exact.
 constexpr int kCovariance = 36;
 
-inline void add_time(CdrWriter& cdr, std::uint64_t time_ns) {
+inline void add_time(codecs::CdrWriter& cdr, std::uint64_t time_ns) {
     cdr.append_aligned_number(std::int32_t(time_ns / kNanoseconds))
         .append_aligned_number(std::uint32_t(time_ns % kNanoseconds));
 }
-inline void add_header(CdrWriter& cdr, std::uint64_t stamp_ns, const std::string& frame_id) {
+inline void add_header(codecs::CdrWriter& cdr, std::uint64_t stamp_ns, const std::string& frame_id) {
     add_time(cdr, stamp_ns);
     cdr.append_string(frame_id);
 }
 
-inline void add_vector(CdrWriter& cdr, const glm::dvec3& vector) {
+inline void add_vector(codecs::CdrWriter& cdr, const glm::dvec3& vector) {
     cdr.append_aligned_number(vector.x).append_aligned_number(vector.y).append_aligned_number(vector.z);
 }
-inline void add_pose(CdrWriter& cdr, const Pose& pose) {
+inline void add_pose(codecs::CdrWriter& cdr, const Pose& pose) {
     add_vector(cdr, pose.translation);
     cdr.append_aligned_number(pose.rotation.x)
         .append_aligned_number(pose.rotation.y)
         .append_aligned_number(pose.rotation.z)
         .append_aligned_number(pose.rotation.w);
 }
-inline void add_zero_covariance(CdrWriter& cdr) {
+inline void add_zero_covariance(codecs::CdrWriter& cdr) {
     for (int i = 0; i < kCovariance; ++i) cdr.append_aligned_number(0.0);
 }
-inline void add_velocity_with_covariance(CdrWriter& cdr, const Velocity& velocity) {
+inline void add_velocity_with_covariance(codecs::CdrWriter& cdr, const Velocity& velocity) {
     add_vector(cdr, velocity.linear_mps);
     add_vector(cdr, velocity.angular_radps);
     add_zero_covariance(cdr);

@@ -85,7 +85,7 @@ std::string make_point_cloud2_message(const RecordedCloud& recorded, const std::
         fields.push_back({name, step, is_integer ? kRosInt32 : kRosFloat32});
         step += 4;
     }
-    CdrWriter cdr;
+    codecs::CdrWriter cdr;
     add_header(cdr, recorded.stamp_ns, frame_id);
     cdr.append_aligned_number(std::uint32_t(1))
         .append_aligned_number(std::uint32_t(cloud.size()))

@@ -22,7 +22,7 @@ std::string format_quality_of_service(bool is_latched) {
         kEndless, kAutomatic, kEndless);
 }
 
-void add_stamped_transform(CdrWriter& cdr, std::uint64_t stamp_ns, const std::string& parent_frame,
+void add_stamped_transform(codecs::CdrWriter& cdr, std::uint64_t stamp_ns, const std::string& parent_frame,
                            const std::string& child_frame, const Pose& parent_from_child) {
     add_header(cdr, stamp_ns, parent_frame);
     cdr.append_string(child_frame);
@@ -31,11 +31,11 @@ void add_stamped_transform(CdrWriter& cdr, std::uint64_t stamp_ns, const std::st
 
 /// @param write writes the message of a pose
 RecordedTopic make_topic_with_message_per_pose(const char* name, const char* message_type,
-                                               void (*write)(CdrWriter&, const RecordedPose&)) {
+                                               void (*write)(codecs::CdrWriter&, const RecordedPose&)) {
     return make_ros_topic(name, message_type, [write](const RecordedSweep& moment) {
         std::vector<RecordedMessage> messages;
         for (const RecordedPose& pose : moment.poses) {
-            CdrWriter cdr;
+            codecs::CdrWriter cdr;
             write(cdr, pose);
             messages.push_back({pose.time_ns, cdr.take_encoded_message()});
         }
@@ -46,7 +46,7 @@ RecordedTopic make_topic_with_message_per_pose(const char* name, const char* mes
 /// Each scan repeats the message for players that start in the middle of the file.
 RecordedTopic make_static_transform_topic(const RecordedRig& rig) {
     const auto message = [rig](const RecordedSweep& moment) {
-        CdrWriter cdr;
+        codecs::CdrWriter cdr;
         cdr.append_aligned_number(std::uint32_t(rig.sensors.size()));
         for (const RecordedSensor& sensor : rig.sensors)
             add_stamped_transform(cdr, moment.first_ns, kVehicleFrame, sensor.frame_id,
@@ -72,16 +72,16 @@ std::vector<RecordedTopic> list_ros_topics(const RecordedRig& rig) {
     std::vector<RecordedTopic> topics{
         make_topic_with_message_per_pose(
             "/clock", "rosgraph_msgs/msg/Clock",
-            [](CdrWriter& cdr, const RecordedPose& pose) { add_time(cdr, pose.time_ns); }),
+            [](codecs::CdrWriter& cdr, const RecordedPose& pose) { add_time(cdr, pose.time_ns); }),
         make_static_transform_topic(rig),
         make_topic_with_message_per_pose("/tf", "tf2_msgs/msg/TFMessage",
-                                         [](CdrWriter& cdr, const RecordedPose& pose) {
+                                         [](codecs::CdrWriter& cdr, const RecordedPose& pose) {
                                              cdr.append_aligned_number(std::uint32_t(1));
                                              add_stamped_transform(cdr, pose.time_ns, kWorldFrame,
                                                                    kVehicleFrame, pose.world_from_vehicle);
                                          }),
         make_topic_with_message_per_pose("/odom", "nav_msgs/msg/Odometry",
-                                         [](CdrWriter& cdr, const RecordedPose& pose) {
+                                         [](codecs::CdrWriter& cdr, const RecordedPose& pose) {
                                              add_header(cdr, pose.time_ns, kWorldFrame);
                                              cdr.append_string(kVehicleFrame);
                                              add_pose(cdr, pose.world_from_vehicle);

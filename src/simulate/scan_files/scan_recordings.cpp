@@ -74,7 +74,7 @@ public:
 
 private:
     fs::path path_, temporary_;
-    McapWriter writer_;
+    codecs::McapWriter writer_;
     std::vector<RecordedTopic> topics_;
     std::vector<std::uint16_t> channels_;  ///< [topics] numbers of the topics in the file
     std::uint64_t last_logged_ns_ = 0;

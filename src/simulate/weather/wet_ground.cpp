@@ -10,7 +10,7 @@
 
 #include <relidar/base/math.hpp>
 
-#include "base/cell_key.hpp"
+#include "base/geometry/cell_key.hpp"
 #include "base/parallel.hpp"
 #include "simulate/weather/air.hpp"
 

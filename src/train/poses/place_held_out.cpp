@@ -7,7 +7,7 @@
 #include <set>
 
 #include <relidar/log/channels.hpp>
-#include <relidar/log/registration.hpp>
+#include <relidar/registration/registration.hpp>
 #include <relidar/run/run.hpp>
 #include <relidar/simulate/render.hpp>
 

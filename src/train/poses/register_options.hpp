@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
-#include <relidar/log/registration.hpp>
+#include <relidar/registration/registration.hpp>
 #include <relidar/run/config.hpp>
 
 namespace relidar {

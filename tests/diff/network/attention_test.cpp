@@ -10,7 +10,7 @@
 namespace relidar {
 namespace {
 
-using refine::Attention, refine::AttentionActivations, refine::ImageBatchSize;
+using network::Attention, network::AttentionActivations, network::ImageBatchSize;
 using test::OnDevice, test::compute_worst_error;
 
 struct AttentionCase {

@@ -10,12 +10,12 @@
 namespace relidar {
 namespace {
 
-using refine::ConvolutionKernels, refine::ImageBatchSize;
+using network::ConvolutionKernels, network::ImageBatchSize;
 using test::OnDevice, test::compute_worst_error;
 
 struct Case {
     std::uint32_t taps;
-    refine::ImageBatchSize grid;
+    network::ImageBatchSize grid;
     int n_in, n_out;
 };
 

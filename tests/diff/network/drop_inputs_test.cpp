@@ -23,7 +23,7 @@ std::vector<double> shift() { return {0.0, 1.0, -3.0, 0.25, 2.0}; }
 
 Batch turned(const test::ImageBatch& samples, const std::vector<double>& targets,
              const std::vector<std::uint32_t>& turn, int n_fixed) {
-    const refine::ImageBatchSize grid = test::get_grid(samples);
+    const network::ImageBatchSize grid = test::get_grid(samples);
     test::ImageBatch images(kImages, kChannels, samples.rows, samples.columns),
         start(kImages, 1, samples.rows, samples.columns);
     test::ImageBatch target = start;
@@ -46,9 +46,9 @@ Batch turned(const test::ImageBatch& samples, const std::vector<double>& targets
 }
 
 TEST_F(DropInputsTest, TurnsWhatIsSeenAndKeepsTheSensorsOwn) {
-    for (const refine::ImageBatchSize& grid :
-         {refine::ImageBatchSize{kSamples, 5, 13}, refine::ImageBatchSize{kSamples, 1, 3},
-          refine::ImageBatchSize{kSamples, 7, 70}})
+    for (const network::ImageBatchSize& grid :
+         {network::ImageBatchSize{kSamples, 5, 13}, network::ImageBatchSize{kSamples, 1, 3},
+          network::ImageBatchSize{kSamples, 7, 70}})
         for (const int n_fixed : {0, 2}) {
             const std::vector<std::uint32_t> column_shifts{0, 1, grid.columns - 1, 2 * grid.columns + 2};
             const test::ImageBatch values = test::make_random_images(grid, kChannels, 1);

@@ -12,7 +12,7 @@
 namespace relidar {
 namespace {
 
-using refine::RayDropLoss, refine::RayDropScore;
+using network::RayDropLoss, network::RayDropScore;
 
 class DropLossTest : public test::DeviceTest {};
 

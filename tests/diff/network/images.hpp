@@ -28,14 +28,14 @@ inline std::vector<double> make_random_floats(std::size_t count, std::uint64_t s
     return values;
 }
 
-inline ImageBatch make_random_images(const refine::ImageBatchSize& grid, int channels, std::uint64_t seed,
+inline ImageBatch make_random_images(const network::ImageBatchSize& grid, int channels, std::uint64_t seed,
                                      double scale = 1.0, double offset = 0.0) {
     ImageBatch images(int(grid.n), channels, int(grid.rows), int(grid.columns), grid.circular);
     images.values = make_random_floats(images.values.size(), seed, scale, offset);
     return images;
 }
 
-inline refine::ImageBatchSize get_grid(const ImageBatch& images) {
+inline network::ImageBatchSize get_grid(const ImageBatch& images) {
     return {std::uint32_t(images.n), std::uint32_t(images.rows), std::uint32_t(images.columns),
             images.circular};
 }
@@ -59,10 +59,10 @@ inline std::vector<double> to_doubles(const Array<float>& values) {
     return {floats.begin(), floats.end()};
 }
 
-inline void upload(const refine::Tensor& tensor, const std::vector<float>& values) {
-    const_cast<refine::Tensor&>(tensor).values.upload(values);
+inline void upload(const network::Tensor& tensor, const std::vector<float>& values) {
+    const_cast<network::Tensor&>(tensor).values.upload(values);
 }
-inline void upload(const refine::Tensor& tensor, const std::vector<double>& values) {
+inline void upload(const network::Tensor& tensor, const std::vector<double>& values) {
     upload(tensor, std::vector<float>(values.begin(), values.end()));
 }
 
@@ -79,14 +79,14 @@ public:
         });
         upload(tensor_, values);
     }
-    static OnDevice make_unwritten(Device& device, const refine::ImageBatchSize& grid, int channels,
+    static OnDevice make_unwritten(Device& device, const network::ImageBatchSize& grid, int channels,
                                    std::uint32_t before = 1, std::uint32_t after = 2) {
         ImageBatch images(int(grid.n), channels, int(grid.rows), int(grid.columns), grid.circular);
         for (double& x : images.values) x = std::nan("");
         return OnDevice(device, images, before, after);
     }
 
-    refine::ChannelSlice slice() const {
+    network::ChannelSlice slice() const {
         return tensor_.get_channel_range(before_, std::uint32_t(shape_.channels));
     }
     ImageBatch read() const {
@@ -104,7 +104,7 @@ public:
 
 private:
     static constexpr float kGuard = 12344.0f;
-    refine::Tensor tensor_;
+    network::Tensor tensor_;
     std::uint32_t before_;
     ImageBatch shape_;
 

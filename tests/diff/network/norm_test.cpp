@@ -11,7 +11,7 @@
 namespace relidar {
 namespace {
 
-using refine::ImageBatchSize, refine::NormalisationKernels, refine::NormActivations, refine::NormWeights;
+using network::ImageBatchSize, network::NormalisationKernels, network::NormActivations, network::NormWeights;
 using test::OnDevice, test::compute_worst_error;
 
 struct NormCase {

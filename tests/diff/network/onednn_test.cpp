@@ -14,7 +14,7 @@ namespace relidar {
 namespace {
 
 using dnnl::algorithm, dnnl::memory, dnnl::prop_kind;
-using refine::ImageBatchSize;
+using network::ImageBatchSize;
 using test::ImageBatch, test::OnDevice, test::compute_worst_error;
 
 class OneDnnTest : public test::DeviceTest {
@@ -133,8 +133,8 @@ TEST_P(OneDnnConv, Agrees) {
                                       test::make_random_floats(std::size_t(size.n_in) * size.n_out * taps, 3),
                                   bias = test::make_random_floats(std::size_t(size.n_out), 4);
         const ConvAnswers expected = ask(values, weights, bias, d_output, int(taps));
-        refine::ConvolutionKernels conv(device(), taps);
-        refine::NormalisationKernels norm(device());
+        network::ConvolutionKernels conv(device(), taps);
+        network::NormalisationKernels norm(device());
         norm.reserve_channel_sums(device(), std::uint32_t(size.n_out), size.grid);
         conv.reserve_partial_sums(device(), conv.count_partial_sum_floats(size.grid, std::uint32_t(size.n_in),
                                                                           std::uint32_t(size.n_out)));
@@ -218,9 +218,9 @@ TEST_F(OneDnnNorm, Agrees) {
         std::vector<double> gamma_beta = gamma;
         gamma_beta.insert(gamma_beta.end(), beta.begin(), beta.end());
         const NormAnswers expected = ask(values, gamma_beta, d_output);
-        refine::NormalisationKernels norm(device());
+        network::NormalisationKernels norm(device());
         norm.reserve_channel_sums(device(), channels, grid);
-        refine::NormActivations state(device(), channels);
+        network::NormActivations state(device(), channels);
         const auto parameters = test::upload_pairs<shared::BetaGamma>(device(), beta, gamma);
         const auto running = test::upload_pairs<shared::RunningMoments>(device(), beta, gamma);
         const Array<float> d_parameters(device(), 2 * channels, "gradient");
@@ -248,7 +248,7 @@ class OneDnnResample : public OneDnnTest {};
 TEST_F(OneDnnResample, PoolingAgrees) {
     for (const ImageBatchSize& grid : {ImageBatchSize{4, 7, 13}, ImageBatchSize{1, 66, 1030}}) {
         const ImageBatch values = test::make_random_images(grid, 3, 1),
-                         d_output = test::make_random_images(refine::halve_image_size(grid), 3, 2);
+                         d_output = test::make_random_images(network::halve_image_size(grid), 3, 2);
         const memory::desc of_from = describe_images(values), of_to = describe_images(d_output);
         const memory::dims two{2, 2}, none{0, 0};
         const auto forward = onednn::describe<onednn::pooling_forward>(engine_, prop_kind::forward_training,
@@ -262,10 +262,10 @@ TEST_F(OneDnnResample, PoolingAgrees) {
                 {{DNNL_ARG_SRC, in}, {DNNL_ARG_DST, out}, {DNNL_ARG_WORKSPACE, which}});
         execute(onednn::pooling_backward(backward),
                 {{DNNL_ARG_DIFF_DST, d_out}, {DNNL_ARG_WORKSPACE, which}, {DNNL_ARG_DIFF_SRC, d_in}});
-        refine::ResamplingKernels resample(device());
+        network::ResamplingKernels resample(device());
         Stream stream(device());
         const OnDevice from(device(), values), d_to(device(), d_output),
-            to = OnDevice::make_unwritten(device(), refine::halve_image_size(grid), 3),
+            to = OnDevice::make_unwritten(device(), network::halve_image_size(grid), 3),
             d_from(device(), ImageBatch(values.n, 3, values.rows, values.columns));
         resample.max_pool(stream, from.slice(), to.slice());
         resample.backpropagate_max_pool(stream, from.slice(), d_to.slice(), d_from.slice());
@@ -296,7 +296,7 @@ TEST_F(OneDnnResample, UpsamplingAgrees) {
         memory in = given(wide), d_out = given(wide_gradient), out = empty(of_to), d_in = empty(of_from);
         execute(dnnl::resampling_forward(forward), {{DNNL_ARG_SRC, in}, {DNNL_ARG_DST, out}});
         execute(dnnl::resampling_backward(backward), {{DNNL_ARG_DIFF_DST, d_out}, {DNNL_ARG_DIFF_SRC, d_in}});
-        refine::ResamplingKernels resample(device());
+        network::ResamplingKernels resample(device());
         Stream stream(device());
         const OnDevice from(device(), values), d_to(device(), d_output),
             to = OnDevice::make_unwritten(device(), size.large, 3),

@@ -10,7 +10,7 @@
 namespace relidar {
 namespace {
 
-using refine::ImageBatchSize, refine::ResamplingKernels;
+using network::ImageBatchSize, network::ResamplingKernels;
 using test::OnDevice, test::compute_worst_error;
 
 struct PoolCase {
@@ -55,7 +55,7 @@ TEST_P(PoolSizes, PoolAndItsDerivative) {
     test::ImageBatch values = test::make_random_images(c.grid, c.channels, 1);
     // makes many values equal
     for (std::size_t i = 0; i < values.values.size(); i += 2) values.values[i] = std::round(values.values[i]);
-    const ImageBatchSize small = refine::halve_image_size(c.grid);
+    const ImageBatchSize small = network::halve_image_size(c.grid);
     EXPECT_EQ(small, (ImageBatchSize{c.grid.n, c.grid.rows / 2, c.grid.columns / 2, c.grid.circular}));
     const test::ImageBatch upstream = test::make_random_images(small, c.channels, 2),
                            before = test::make_random_images(c.grid, c.channels, 3);

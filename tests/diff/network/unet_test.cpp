@@ -14,9 +14,9 @@ namespace relidar {
 namespace {
 
 using reference::ImageBatch;
-using refine::ConvParameterOffsets;
-using refine::UnetBlockOffsets;
-using refine::UnetParameterLayout;
+using network::ConvParameterOffsets;
+using network::UnetBlockOffsets;
+using network::UnetParameterLayout;
 
 /// Implements the network in double precision. In training mode, normalises each batch by
 /// the mean and variance of that batch.
@@ -91,7 +91,7 @@ struct Shape {
     const char* name;
     std::vector<std::uint32_t> widths;
     std::uint32_t heads, taps;
-    refine::ImageBatchSize grid;
+    network::ImageBatchSize grid;
 };
 
 class UnetTest : public test::DeviceTest, public testing::WithParamInterface<Shape> {
@@ -106,7 +106,7 @@ protected:
         network_.heads = GetParam().heads;
         network_.taps = GetParam().taps;
         const UnetParameterLayout plan(network_);
-        refine::initialise_network_parameters(network_, plan, 5);
+        network::initialise_network_parameters(network_, plan, 5);
         // uses random values instead of the initial zeros, which would hide errors of
         // gradients
         parameters_ = test::make_random_floats(plan.n_parameters, 6, 0.4, 0.1);
@@ -116,7 +116,7 @@ protected:
             network_.running[i] = float(i % 2 ? 1.0 + std::abs(running[i]) : running[i]);
         inputs_ = test::make_random_images(GetParam().grid, 3, 8);
     }
-    void fill_inputs(const refine::Unet& unet) { test::upload(unet.get_input_images(), inputs_.values); }
+    void fill_inputs(const network::Unet& unet) { test::upload(unet.get_input_images(), inputs_.values); }
 };
 
 INSTANTIATE_TEST_SUITE_P(Networks, UnetTest,
@@ -141,7 +141,7 @@ void expect_near(const std::vector<double>& device_result, const std::vector<dou
 
 TEST_P(UnetTest, LogitsAreTheReferencesInBothModes) {
     prepare();
-    refine::Unet unet(device(), network_);
+    network::Unet unet(device(), network_);
     unet.allocate_activations(device(), GetParam().grid, true);
     fill_inputs(unet);
     Stream stream(device());
@@ -158,7 +158,7 @@ TEST_P(UnetTest, LogitsAreTheReferencesInBothModes) {
 
 TEST_P(UnetTest, GradientAgreesWithDifferencesOfTheReference) {
     prepare();
-    refine::Unet unet(device(), network_);
+    network::Unet unet(device(), network_);
     unet.allocate_activations(device(), GetParam().grid, true);
     fill_inputs(unet);
     const std::vector<double> upstream = test::make_random_floats(GetParam().grid.count_all_pixels(), 9);

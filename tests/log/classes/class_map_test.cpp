@@ -11,7 +11,7 @@
 
 #include <gtest/gtest.h>
 
-#include <relidar/log/dataset.hpp>
+#include <relidar/read/dataset.hpp>
 
 #include "base/random.hpp"
 #include "log/classes/dataset_classes.hpp"

@@ -200,9 +200,9 @@ TEST(Scatter, IsDrawnAsOneRayAfterTheOther) {
          {std::pair(kRows, kColumns), {kRows, 129}, {kRows, 64}, {1, kColumns}, {kRows, 2}}) {
         const RenderedIntensityImage image = crop_image(make_panels(), rows, columns);
         std::vector<float> expected(image.intensity.size(), kNoIntensity);
-        const scatter_detail::RayFeatureExtractor context(image, expected);
+        const scatter::RayFeatureExtractor context(image, expected);
         for (std::size_t i = 0; i < expected.size(); ++i) {
-            const scatter_detail::RayFeatures features =
+            const scatter::RayFeatures features =
                 context.compute_all_features(int(i) / columns, int(i) % columns);
             const IntensityScatterModel::DecisionTreeNode* node = &scatter.nodes[0];
             while (node->feature >= 0)
@@ -224,10 +224,10 @@ TEST(Scatter, IsDrawnAsOneRayAfterTheOther) {
 TEST(Scatter, WindowsEnd) {
     RenderedIntensityImage image = make_panels();
     std::vector<float> known(kRays, 0.5f);
-    const scatter_detail::RayFeatureExtractor features(image, known);
+    const scatter::RayFeatureExtractor features(image, known);
     for (const bool circular : {true, false}) {
         image.circular = circular;
-        const scatter_detail::RayFeatures before = features.compute_all_features(8, kColumns - 1);
+        const scatter::RayFeatures before = features.compute_all_features(8, kColumns - 1);
         for (std::size_t row = 0; row < kRows; ++row)
             image.intensity[row * kColumns] = known[row * kColumns] += 0.1f;
         EXPECT_EQ(features.compute_all_features(8, kColumns - 1) == before, !circular);

@@ -11,7 +11,7 @@
 #include <relidar/base/error.hpp>
 #include <relidar/base/math.hpp>
 
-#include "base/incidence.hpp"
+#include "base/geometry/incidence.hpp"
 
 namespace relidar {
 namespace {

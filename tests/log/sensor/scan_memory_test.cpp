@@ -17,7 +17,7 @@
 #include <sys/resource.h>
 
 #include <relidar/base/error.hpp>
-#include <relidar/log/dataset.hpp>
+#include <relidar/read/dataset.hpp>
 
 #include "../../base/codecs/temporary_folder.hpp"
 #include "support/names.hpp"

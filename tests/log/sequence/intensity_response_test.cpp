@@ -5,7 +5,7 @@
 
 #include <gtest/gtest.h>
 
-#include <relidar/log/dataset.hpp>
+#include <relidar/read/dataset.hpp>
 #include <relidar/log/sequence.hpp>
 
 namespace relidar {
@@ -104,7 +104,7 @@ TEST(IntensityResponse, EqualLasersStayEqual) {
 }
 
 /// Returns a street whose intensities are reflectance * (0.3 + 0.7 cos) * (1 - range /
-/// 160 m), with equal beams (src/log/readers/street/synthetic.cpp).
+/// 160 m), with equal beams (src/read/datasets/street/synthetic.cpp).
 LidarSequence street() {
     return make_synthetic_street({.n_frames = 40});  // 32 m: near and far views of the same surfaces
 }

@@ -3,7 +3,7 @@
 // was added.
 #include <gtest/gtest.h>
 
-#include <relidar/log/dataset.hpp>
+#include <relidar/read/dataset.hpp>
 #include <relidar/log/sequence.hpp>
 
 #include "base/random.hpp"

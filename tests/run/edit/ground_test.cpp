@@ -3,7 +3,7 @@
 // and on the synthetic street, whose ground height has a closed form.
 #include <cmath>
 
-#include <relidar/log/dataset.hpp>
+#include <relidar/read/dataset.hpp>
 #include <relidar/run/edit.hpp>
 #include <relidar/run/run.hpp>
 

@@ -6,7 +6,7 @@
 
 #include <gtest/gtest.h>
 
-#include <relidar/log/dataset.hpp>
+#include <relidar/read/dataset.hpp>
 #include <relidar/score/evaluation.hpp>
 
 namespace relidar {

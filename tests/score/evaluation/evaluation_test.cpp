@@ -7,7 +7,7 @@
 #include <numeric>
 
 #include <relidar/base/error.hpp>
-#include <relidar/log/dataset.hpp>
+#include <relidar/read/dataset.hpp>
 #include <relidar/scene/scene.hpp>
 
 #include "../../support/device.hpp"

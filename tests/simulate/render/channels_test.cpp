@@ -7,7 +7,7 @@
 #include <gtest/gtest.h>
 
 #include <relidar/base/error.hpp>
-#include <relidar/log/dataset.hpp>
+#include <relidar/read/dataset.hpp>
 #include <relidar/simulate/render.hpp>
 
 #include "../../support/device.hpp"

@@ -9,7 +9,7 @@
 
 #include <relidar/base/arrays.hpp>
 #include <relidar/base/images.hpp>
-#include <relidar/log/dataset.hpp>
+#include <relidar/read/dataset.hpp>
 #include <relidar/log/sensor_files.hpp>
 #include <relidar/run/run.hpp>
 #include <relidar/simulate/render.hpp>

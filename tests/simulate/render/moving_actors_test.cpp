@@ -9,7 +9,7 @@
 
 #include <gtest/gtest.h>
 #include <glm/gtc/quaternion.hpp>
-#include <relidar/log/dataset.hpp>
+#include <relidar/read/dataset.hpp>
 #include <relidar/simulate/render.hpp>
 
 #include "../../support/device.hpp"

@@ -9,7 +9,7 @@
 #include <gmock/gmock.h>
 
 #include <relidar/base/error.hpp>
-#include <relidar/log/dataset.hpp>
+#include <relidar/read/dataset.hpp>
 #include <relidar/simulate/place_points.hpp>
 
 #include "../../support/device.hpp"

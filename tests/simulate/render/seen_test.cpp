@@ -4,7 +4,7 @@
 #include <algorithm>
 #include <memory>
 
-#include <relidar/log/dataset.hpp>
+#include <relidar/read/dataset.hpp>
 #include <relidar/run/edit.hpp>
 #include <relidar/simulate/render.hpp>
 

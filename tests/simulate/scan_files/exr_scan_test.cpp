@@ -5,7 +5,7 @@
 #include <relidar/base/error.hpp>
 #include <relidar/base/files.hpp>
 #include <relidar/base/images.hpp>
-#include <relidar/log/dataset.hpp>
+#include <relidar/read/dataset.hpp>
 #include <relidar/simulate/render.hpp>
 #include <relidar/simulate/scan_files.hpp>
 

@@ -31,10 +31,10 @@ Array<float, Meaning> upload_doubles_as_float_array(Device& device, const std::v
     return {device, std::span<const float>(floats), "values of a layer"};
 }
 
-refine::Tensor upload_images_as_tensor(Device& device, const ImageBatch& images) {
-    const refine::ImageBatchSize grid{std::uint32_t(images.n), std::uint32_t(images.rows),
+network::Tensor upload_images_as_tensor(Device& device, const ImageBatch& images) {
+    const network::ImageBatchSize grid{std::uint32_t(images.n), std::uint32_t(images.rows),
                                       std::uint32_t(images.columns)};
-    refine::Tensor tensor(device, std::uint32_t(images.channels), grid, "images of a layer");
+    network::Tensor tensor(device, std::uint32_t(images.channels), grid, "images of a layer");
     tensor.values.upload(std::vector<float>(images.values.begin(), images.values.end()));
     return tensor;
 }
@@ -57,14 +57,14 @@ double compute_convolution_error_on_gpu(Device& device, int n_kernel_taps) {
     const std::vector<double> weights = sample_normal_distribution(std::size_t(n_in) * std::size_t(n_out) *
                                                                    std::size_t(n_kernel_taps)),
                               bias = sample_normal_distribution(std::size_t(n_out));
-    const refine::Tensor inputs = upload_images_as_tensor(device, from),
+    const network::Tensor inputs = upload_images_as_tensor(device, from),
                          d_outputs = upload_images_as_tensor(device, d_to),
                          outputs = upload_images_as_tensor(device, d_to),
                          d_inputs = upload_images_as_tensor(device, from);
     const auto weights_there = upload_doubles_as_float_array<shared::ConvWeights>(device, weights),
                d_weights = upload_doubles_as_float_array<shared::ConvWeights>(device, weights);
     const auto bias_there = upload_doubles_as_float_array<shared::ConvBias>(device, bias);
-    refine::ConvolutionKernels conv(device, std::uint32_t(n_kernel_taps));
+    network::ConvolutionKernels conv(device, std::uint32_t(n_kernel_taps));
     conv.reserve_partial_sums(device, conv.count_partial_sum_floats(inputs.grid, n_in, n_out));
     Stream stream(device);
     conv.run_convolution(stream, inputs, weights_there.address(), bias_there.address(), outputs);

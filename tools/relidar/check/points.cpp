@@ -6,7 +6,7 @@
 
 #include <fmt/format.h>
 
-#include <relidar/log/dataset.hpp>
+#include <relidar/read/dataset.hpp>
 #include <relidar/simulate/place_points.hpp>
 #include "check/checks.hpp"
 

@@ -8,9 +8,9 @@
 #include <fmt/format.h>
 #include <CLI/CLI.hpp>
 
-#include <relidar/log/dataset.hpp>
+#include <relidar/read/dataset.hpp>
 #include <relidar/log/log_time.hpp>
-#include <relidar/log/packets.hpp>
+#include <relidar/read/packets.hpp>
 
 #include "base/fail.hpp"
 #include "command.hpp"

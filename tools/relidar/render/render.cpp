@@ -11,7 +11,7 @@
 #include <CLI/CLI.hpp>
 
 #include <relidar/log/channels.hpp>
-#include <relidar/log/packets.hpp>
+#include <relidar/read/packets.hpp>
 #include <relidar/log/sensor_files.hpp>
 #include <relidar/run/edit.hpp>
 #include <relidar/run/run.hpp>

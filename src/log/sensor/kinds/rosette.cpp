@@ -9,7 +9,7 @@
 
 namespace relidar {
 
-using namespace pattern_detail;
+using namespace sensor;
 
 RayTable make_rays(const RosetteSensor& rosette, double time_s) {
     require_allowed_ray_count(rosette.name, rosette.n_rays);

@@ -9,7 +9,7 @@
 
 namespace relidar {
 
-using namespace pattern_detail;
+using namespace sensor;
 namespace {
 
 // of a beam from the origin of the sensor

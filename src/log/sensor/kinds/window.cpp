@@ -12,7 +12,7 @@
 
 namespace relidar {
 
-using namespace pattern_detail;
+using namespace sensor;
 
 RayTable make_rays(const WindowScanSensor& window) {
     require_allowed_ray_count(window.name, double(window.rows) * double(window.columns));

@@ -1,0 +1,14 @@
+// SPDX-License-Identifier: Apache-2.0
+// Checks of a loaded log that make it unusable if they fail.
+#pragma once
+
+#include <relidar/log/sequence.hpp>
+
+namespace relidar {
+
+/// Checks that a log can be used, for example that times ascend, numbers are finite and
+/// arrays have equal lengths. load_sequence() calls this function.
+/// @throws DataError naming the frame or box, the field and the value
+void require_valid_sequence(const LidarSequence& sequence);
+
+}  // namespace relidar

@@ -1,0 +1,216 @@
+// SPDX-License-Identifier: Apache-2.0
+// Compares the points in labelled boxes with the points in boxes that are moved up,
+// turned, or mirrored. Points near the ground do not count.
+#include "log/checks/box_conventions.hpp"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <vector>
+
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+
+#include "base/parallel.hpp"
+
+namespace relidar::checks {
+namespace {
+
+// A box belongs to the vehicle if it contains a LiDAR in this share of its poses. The
+// LiDAR may be above the box by the given height. Buildings are longer.
+constexpr double kShareAroundVehicle = 0.9, kAboveVehicle_m = 1.0, kLongestVehicle_m = 30.0;
+constexpr std::size_t kMaxFrames = 12, kMaxPoints = 30000;
+// The lowest part of a box does not count, because the ground may be there.
+constexpr double kGround_m = 0.3;
+// A box is turned only if its shape shows the direction of its length.
+constexpr double kElongated = 1.3, kShortestCar_m = 2.5;
+// The space around an isolated box has fewer points than this share of its points.
+constexpr double kShell_m = 0.5, kMostInShell = 0.5;
+// Maximum number of points of a box in a scan that count, so that near boxes do not
+// outvote the others. A convention is better if boxes gain at least kMinPoints points in
+// kMinViews scans, and several times the number of points that they lose.
+constexpr std::size_t kMaxPerBox = 50, kMinPerBox = 5, kMinPoints = 100, kMinViews = 5;
+constexpr double kClearlyMore = 3.0;
+
+/// Fault that a correction reverts: moves the boxes up by half their height, turns them
+/// by 90 degrees, or mirrors y coordinates and yaw angles.
+struct BoxFault {
+    const char* description;
+    bool is_bottom = false, is_turned = false, is_mirrored = false,
+         is_in_vehicle = false;  ///< mirrored in the frame of the vehicle, not in the world
+};
+constexpr std::size_t kTurned = 1;
+constexpr std::array<BoxFault, 4> kFaults{
+    {{"the positions seem to be the centres of the bottom sides, expected the centres of the boxes", true},
+     {"", false, true},
+     {"y and yaw seem to have the opposite sign in the world", false, false, true},
+     {"y and yaw seem to have the opposite sign in the frame of the vehicle", false, false, true, true}}};
+
+struct PointGain {
+    std::size_t gained = 0, lost = 0, n_views = 0;
+
+    void add_view(std::size_t n_gained, std::size_t n_lost) {
+        gained += std::min(n_gained, kMaxPerBox);
+        lost += std::min(n_lost, kMaxPerBox);
+        n_views += n_gained >= kMinPerBox;
+    }
+    bool is_clear() const {
+        return gained >= kMinPoints && n_views >= kMinViews && double(gained) > kClearlyMore * double(lost);
+    }
+};
+using PointGains = std::array<PointGain, kFaults.size()>;  // for each fault
+
+bool is_elongated(const glm::dvec3& size_m) {
+    const auto [shorter, longer] = std::minmax(size_m.x, size_m.y);
+    return longer >= kShortestCar_m && longer >= kElongated * shorter;
+}
+
+bool contains(const glm::dvec3& half_m, const glm::dvec3& local_m, double margin_m = 0.0) {
+    return std::abs(local_m.x) <= half_m.x + margin_m && std::abs(local_m.y) <= half_m.y + margin_m &&
+           local_m.z >= kGround_m - half_m.z && local_m.z <= half_m.z;
+}
+
+/// @param world_from_frame  frame whose y axis is mirrored
+Pose correct_box(const Pose& world_from_box, double height_m, const Pose& world_from_frame,
+                 const BoxFault& fault) {
+    if (fault.is_bottom) return world_from_box * Pose{{1, 0, 0, 0}, {0.0, 0.0, 0.5 * height_m}};
+    if (fault.is_turned) return world_from_box * Pose{make_rotation(0.5 * kPi, 0.0, 0.0), {}};
+    Pose box = inverse(world_from_frame) * world_from_box;
+    box.translation.y = -box.translation.y;
+    box.rotation = glm::dquat(box.rotation.w, -box.rotation.x, box.rotation.y, -box.rotation.z);
+    return world_from_frame * box;
+}
+
+void add_points_of_box(const std::vector<glm::dvec3>& points_m, const Pose& box_from_sensor,
+                       const Pose& corrected_from_sensor, const glm::dvec3& half_m, const BoxFault& fault,
+                       PointGain& gain) {
+    const double reach_m = glm::length(half_m) + kShell_m;
+    const glm::dvec3 centre_m = inverse(box_from_sensor).translation,
+                     corrected_m = inverse(corrected_from_sensor).translation;
+    std::size_t n_gained = 0, n_lost = 0, n_in_shell = 0;
+    for (const glm::dvec3& point_m : points_m) {
+        if (glm::distance(point_m, centre_m) > reach_m && glm::distance(point_m, corrected_m) > reach_m)
+            continue;
+        const glm::dvec3 before_m = box_from_sensor * point_m, after_m = corrected_from_sensor * point_m;
+        const bool was_inside = contains(half_m, before_m), is_inside = contains(half_m, after_m);
+        n_gained += is_inside && !was_inside;
+        // The ground is in the middle of a box whose position is the bottom.
+        n_lost += was_inside && !is_inside && (!fault.is_bottom || before_m.z < -0.5 * kGround_m);
+        n_in_shell += !is_inside && contains(half_m, after_m, kShell_m);
+    }
+    const bool is_isolated = !fault.is_mirrored || double(n_in_shell) < kMostInShell * double(n_gained);
+    gain.add_view(is_isolated ? n_gained : 0, n_lost);
+}
+
+void add_points_of_frame(const LidarSequence& sequence, const LidarFrame& frame, PointGains& gains) {
+    std::vector<glm::dvec3> points_m;
+    const std::size_t step = 1 + frame.scan.count_returns() / kMaxPoints;
+    std::size_t n_returns = 0;
+    for (std::size_t ray = 0; ray < frame.scan.range_m.size(); ++ray)
+        if (frame.scan.range_m[ray] > 0.0f && n_returns++ % step == 0)
+            points_m.emplace_back(frame.scan.compute_return_point_in_sensor_frame(ray));
+    const auto get_sensor_from_world = [&](double time_s) {
+        return inverse(sequence.world_from_vehicle.interpolate_mounted_pose(
+            time_s, sequence.get_lidar(frame).vehicle_from_sensor));
+    };
+    for (const BoxTrack& box : sequence.boxes) {
+        if (!box.is_observed_at_time(frame.time_s)) continue;
+        double time_s = frame.time_s;
+        for (int round = 0; round < 2; ++round)
+            time_s = compute_time_when_lidar_faces_point_s(
+                sequence,
+                get_sensor_from_world(time_s) * box.world_from_box.interpolate_pose(time_s).translation,
+                get_sweep_timing_of_frame(frame));
+        const Pose world_from_sensor = inverse(get_sensor_from_world(time_s)),
+                   world_from_box = box.world_from_box.interpolate_pose(time_s);
+        for (std::size_t f = 0; f < kFaults.size(); ++f) {
+            const BoxFault& fault = kFaults[f];
+            if (!fault.is_bottom && !fault.is_mirrored && !is_elongated(box.size_m)) continue;
+            const Pose mirrored_frame = fault.is_in_vehicle
+                                            ? sequence.world_from_vehicle.interpolate_pose(time_s)
+                                            : Pose{{1, 0, 0, 0}, -sequence.world_offset_m};
+            const Pose corrected = correct_box(world_from_box, box.size_m.z, mirrored_frame, fault);
+            add_points_of_box(points_m, inverse(world_from_box) * world_from_sensor,
+                              inverse(corrected) * world_from_sensor, 0.5 * box.size_m, fault, gains[f]);
+        }
+    }
+}
+
+PointGains compare_points_in_boxes(const LidarSequence& sequence) {
+    std::vector<const LidarFrame*> frames;
+    for (const LidarFrame& frame : sequence.frames)
+        if (frame.scan.count_returns() > 0 && std::ranges::any_of(sequence.boxes, [&](const BoxTrack& box) {
+                return box.is_observed_at_time(frame.time_s);
+            }))
+            frames.push_back(&frame);
+    const std::size_t n = std::min(kMaxFrames, frames.size());
+    std::vector<PointGains> by_frame(n);
+    parallel_for(int(n), [&](int k) {
+        add_points_of_frame(sequence, *frames[std::size_t(k) * frames.size() / n], by_frame[std::size_t(k)]);
+    });
+    PointGains sum{};
+    for (const PointGains& gains : by_frame)
+        for (std::size_t f = 0; f < sum.size(); ++f) {
+            sum[f].gained += gains[f].gained;
+            sum[f].lost += gains[f].lost;
+            sum[f].n_views += gains[f].n_views;
+        }
+    return sum;
+}
+
+}  // namespace
+
+void remove_boxes_of_vehicle(LidarSequence& sequence) {
+    std::vector<std::string> names;
+    const auto is_around = [&](const BoxTrack& box, const Pose& world_from_vehicle,
+                               const Pose& world_from_box) {
+        const glm::dvec3 half_m = 0.5 * box.size_m + glm::dvec3(0, 0, kAboveVehicle_m);
+        const auto is_inside = [&](const Pose& vehicle_from_sensor) {
+            const glm::dvec3 local_m =
+                glm::abs(inverse(world_from_box) * (world_from_vehicle * vehicle_from_sensor.translation));
+            return local_m.x <= half_m.x && local_m.y <= half_m.y && local_m.z <= half_m.z;
+        };
+        return is_inside({}) || std::ranges::any_of(sequence.lidars, is_inside, &Lidar::vehicle_from_sensor);
+    };
+    std::erase_if(sequence.boxes, [&](const BoxTrack& box) {
+        std::size_t n_around = 0, n = 0;
+        for (std::size_t k = 0; k < box.world_from_box.pose.size(); ++k) {
+            const double time_s = box.world_from_box.time_s[k];
+            if (!sequence.world_from_vehicle.contains_time(time_s)) continue;
+            ++n;
+            n_around += is_around(box, sequence.world_from_vehicle.interpolate_pose(time_s),
+                                  box.world_from_box.pose[k]);
+        }
+        if (n_around == 0 || double(n_around) < kShareAroundVehicle * double(n) ||
+            std::max(box.size_m.x, box.size_m.y) > kLongestVehicle_m)
+            return false;
+        names.push_back(fmt::format("'{}' ({}, {} of {} poses)", box.id, box.category, n_around, n));
+        return true;
+    });
+    if (!names.empty())
+        sequence.notes.push_back(
+            fmt::format("boxes around the sensor are left out, because they are probably the vehicle: {}",
+                        fmt::join(names, ", ")));
+}
+
+std::string describe_box_fault(const LidarSequence& sequence) {
+    const PointGains gains = compare_points_in_boxes(sequence);
+    const auto count_net_gain = [&](std::size_t fault) {
+        return gains[fault].is_clear() ? std::ptrdiff_t(gains[fault].gained - gains[fault].lost) : 0;
+    };
+    std::size_t best = 0;
+    for (std::size_t fault = 1; fault < gains.size(); ++fault)
+        if (count_net_gain(fault) > count_net_gain(best)) best = fault;
+    if (count_net_gain(best) <= 0) return "";
+    int n_wider = 0;  // elongated boxes: wider than long minus longer than wide
+    for (const BoxTrack& box : sequence.boxes)
+        if (is_elongated(box.size_m)) n_wider += box.size_m.y > box.size_m.x ? 1 : -1;
+    const char* turned =
+        n_wider > 0 ? "length and width seem to be swapped" : "the yaw seems to be turned by 90 degrees";
+    return fmt::format("{}{}: boxes that are corrected in this way gain {} points and lose {}",
+                       best == kTurned ? turned : kFaults[best].description,
+                       best > kTurned ? ", as in left-handed coordinates (CARLA)" : "", gains[best].gained,
+                       gains[best].lost);
+}
+
+}  // namespace relidar::checks

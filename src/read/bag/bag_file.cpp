@@ -1,0 +1,186 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "read/bag/bag_file.hpp"
+
+#include <algorithm>
+#include <array>
+#include <map>
+#include <optional>
+#include <utility>
+
+#include "base/codecs/unpack.hpp"
+#include "base/fail.hpp"
+#include "base/files.hpp"
+#include "read/bag/part_file.hpp"
+
+namespace relidar::bag {
+namespace {
+
+namespace fs = std::filesystem;
+
+constexpr const char* kMetadata = "metadata.yaml";
+constexpr std::int64_t kLatest_ns = 4294967296000000000;  // latest time stamp that ROS 1 can represent
+constexpr std::array kEndings = {".mcap", ".db3", ".bag"};
+
+bool is_pcap_file(const fs::path& file) {
+    const std::string ending = remove_gz_extension(file).extension().string();
+    return ending == ".pcap" || ending == ".pcapng";
+}
+
+/// Returns the files that rosbag2's metadata.yaml lists, in the layout that rosbag2
+/// writes.
+std::vector<std::string> read_files_of_metadata(const fs::path& file) {
+    std::vector<std::string> files;
+    bool in_files = false;
+    for (const std::string& line : split_lines(read_text_file(file))) {
+        const std::string_view text = trim_blanks_at_both_ends(line);
+        if (text.starts_with("relative_file_paths:")) in_files = true;
+        else if (in_files && text.starts_with("- ")) {
+            std::string_view value = trim_blanks_at_both_ends(text.substr(2));
+            if (value.size() >= 2 && (value.front() == '"' || value.front() == '\'') &&
+                value.back() == value.front())
+                value = value.substr(1, value.size() - 2);
+            files.emplace_back(value);
+        } else in_files = false;
+    }
+    return files;
+}
+
+/// Returns a file of the recording. If it does not exist, returns its compressed or
+/// unpacked copy, because metadata.yaml may name either.
+fs::path find_file_or_packed_copy(const fs::path& file) {
+    for (const fs::path& other : {fs::path(file.string() + ".zstd"), remove_zstd_extension(file)})
+        if (!does_path_exist(file) && does_path_exist(other)) return other;
+    return file;
+}
+
+/// Unpacks a message that rosbag2 compressed with zstd. Returns nothing if it is not
+/// compressed; a serialized message cannot begin like zstd data.
+std::optional<std::string> unpack_message(const BagTopic& topic, std::string_view bytes) {
+    if (topic.encoding != "cdr" || !bytes.starts_with(kZstdMagic)) return std::nullopt;
+    // maximum size of an unpacked message in bytes, or in sizes of the packed message
+    constexpr std::size_t kMostMessageBytes = std::size_t(64) << 20, kMostGrowth = 100;
+    std::string unpacked;
+    const bool is_complete = stream_zstd(
+        [&] { return std::exchange(bytes, {}); },
+        [&, most = std::max(kMostMessageBytes, kMostGrowth * bytes.size())](std::string_view block) {
+            if (unpacked.append(block).size() > most) fail("found more than {} unpacked bytes", most);
+        });
+    if (!is_complete) fail("the zstd data of the message are truncated");
+    return unpacked;
+}
+
+}  // namespace
+
+std::size_t TopicTable::find_or_add_topic_index(BagTopic topic) {
+    if (const std::size_t at = topic.type.find("/msg/"); at != std::string::npos) topic.type.erase(at, 4);
+    const auto existing_topic = std::ranges::find_if(topics_, [&](const BagTopic& t) {
+        return t.name == topic.name && t.type == topic.type && t.encoding == topic.encoding;
+    });
+    if (existing_topic != topics_.end()) return std::size_t(existing_topic - topics_.begin());
+    topics_.push_back(std::move(topic));
+    return topics_.size() - 1;
+}
+
+BagRecording::BagRecording(const fs::path& path, bool skip_broken) {
+    if (!fs::is_directory(path)) {
+        paths_ = {path};
+    } else if (does_path_exist(path / kMetadata)) {
+        for (const std::string& name : read_files_of_metadata(path / kMetadata)) {
+            // Uses only the file name, because the folder may have been renamed.
+            const fs::path file = find_file_or_packed_copy(path / fs::path(name).filename());
+            if (does_path_exist(file)) paths_.push_back(file);
+            else
+                add_note_once(fmt::format("{}: this file of the recording is listed in {} but missing",
+                                          file.string(), kMetadata));
+        }
+    }
+    // Without files from metadata.yaml, uses all recordings in the folder. Sorts numbers
+    // in names by value, so NAME_2 precedes NAME_10.
+    if (paths_.empty()) {
+        for (const fs::path& file : list_folder_entries(path))
+            if (is_pcap_file(file) ||
+                (std::ranges::find(kEndings, remove_zstd_extension(file).extension()) != kEndings.end() &&
+                 (remove_zstd_extension(file) == file || !does_path_exist(remove_zstd_extension(file)))))
+                paths_.push_back(file);
+        std::ranges::stable_sort(paths_, {},
+                                 [](const fs::path& file) { return file.filename().string().size(); });
+    }
+    if (paths_.empty())
+        fail("{}: found no file of a recording, expected .mcap, .db3, .bag, .pcap or .pcapng", path.string());
+    for (const fs::path& file : paths_) {
+        const std::string ending = remove_zstd_extension(file).extension().string();
+        if (is_pcap_file(file)) {
+            files_.push_back(open_pcap_file(file));
+            continue;
+        }
+        const UnpackedZstdFile unpacked(file);
+        const std::string problem = fmt::format("{}: the zstd data are truncated", file.string());
+        if (unpacked.is_truncated() && ending == ".db3") throw DataError(problem);
+        if (unpacked.is_truncated()) add_note_once(problem + "; later messages are missing");
+        if (ending == ".bag") files_.push_back(open_ros1_bag(unpacked.path(), skip_broken));
+        else if (ending == ".db3") files_.push_back(open_rosbag2_sqlite(unpacked.path()));
+        else files_.push_back(open_mcap_file(unpacked.path(), skip_broken));
+    }
+}
+
+std::string BagRecording::get_points_frame_name() const {
+    for (const auto& file : files_)
+        if (std::string frame = file->get_points_frame_name(); !frame.empty()) return frame;
+    return "";
+}
+
+void BagRecording::add_note_once(const std::string& text) {
+    if (std::ranges::find(notes_, text) == notes_.end()) notes_.push_back(text);
+}
+
+void BagRecording::for_each_message(const TopicFilter& filter, const MessageCallback& callback,
+                                    const ProgressReporter& progress) {
+    std::map<std::size_t, bool> noted_topics;  ///< topics with a note about recording times
+    for (std::size_t f = 0; f < files_.size(); ++f) {
+        double last_reported_fraction = -1.0;
+        const auto done = [&](double share) {
+            if (!progress || share < last_reported_fraction + 0.01) return;
+            last_reported_fraction = share;
+            progress("reading the recording", (double(f) + share) / double(files_.size()));
+        };
+        std::int64_t last_ns = 0;
+        const MessageCallback of_file = [&](BagMessage message) {
+            const BagTopic& topic = topics_.topics()[message.topic];
+            const std::int64_t log_ns = message.log_ns;
+            const bool is_possible = log_ns >= 0 && log_ns <= kLatest_ns;
+            if (!is_possible) message.log_ns = last_ns;
+            last_ns = message.log_ns;
+            std::optional<std::string> unpacked;
+            if (filter(topic)) {
+                if (!is_possible && std::exchange(noted_topics[message.topic], true) == false)
+                    add_note_once(
+                        fmt::format("topic {}: a message has the recording time {} ns, expected 0 to {} ns; "
+                                    "the time of the previous message is used",
+                                    shorten_for_error_message(topic.name), log_ns, kLatest_ns));
+                try {
+                    unpacked = unpack_message(topic, message.bytes);
+                } catch (const DataError&) {
+                    // The reader of the message reports the damaged bytes.
+                }
+                if (unpacked) message.bytes = *unpacked;
+            }
+            message.message_position.file = std::uint32_t(f);
+            callback(message);
+        };
+        files_[f]->for_each_message(
+            topics_, {filter, of_file, [&](const std::string& text) { add_note_once(text); }, done});
+    }
+}
+
+SharedBytes BagRecording::read_message_bytes(const BagTopic& topic,
+                                             const MessagePosition& message_position) const {
+    try {
+        SharedBytes bytes = files_.at(message_position.file)->read_message_bytes(message_position);
+        std::optional<std::string> unpacked = unpack_message(topic, bytes.bytes);
+        return unpacked ? make_shared_bytes(std::move(*unpacked)) : bytes;
+    } catch (const DataError& error) {
+        fail("{}: {}", paths_.at(message_position.file).string(), error.what());
+    }
+}
+
+}  // namespace relidar::bag

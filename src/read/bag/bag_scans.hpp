@@ -1,0 +1,74 @@
+// SPDX-License-Identifier: Apache-2.0
+// Reads the point clouds of a recording. Converts them to the scans of the log's frames.
+#pragma once
+
+#include <functional>
+#include <map>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "read/scans/cloud_units.hpp"
+#include "read/scans/folder_points.hpp"
+#include "read/bag/bag_file.hpp"
+#include "read/bag/survey.hpp"
+
+namespace relidar::bag {
+
+/// A point cloud of the bag that becomes the scan of a frame.
+struct FrameCloudMessage {
+    int number = 0;        ///< number of the frame
+    double time_s = 0.0;   ///< time of the frame
+    double cloud_s = 0.0;  ///< time of the cloud on the clock of the log
+    std::size_t lidar = 0;
+    CloudIndexEntry entry;
+};
+
+/// A topic that contains the scans of one LiDAR.
+struct LidarTopic {
+    const CloudTopic* clouds = nullptr;
+    read::PointCloudUnits units = {};
+    /// Clouds that were already read to estimate units.
+    std::map<MessagePosition, read::PointTable> samples = {};
+    SpinningSensor sensor = {};  ///< sensor of a topic with packets; unused for clouds
+};
+/// Reads a few clouds of a topic and estimates the units of their values.
+/// @param cloud_period_s  time between clouds in seconds
+LidarTopic estimate_units_of_cloud_topic(const BagRecording& bag, const CloudTopic& cloud_topic,
+                                         double cloud_period_s);
+
+/// Function that returns the pose of a LiDAR in the world frame at a time of the log.
+using LidarPoseFunction = std::function<Pose(std::size_t lidar, double time_s)>;
+
+class BagScanProvider : public read::ScanProvider {
+public:
+    /// Creates a source of scans. It reads a cloud only when its scan is requested.
+    /// @param clouds  [frames] cloud of each frame
+    /// @param deskewed_by  LiDAR poses with which the points of the bag were
+    /// motion-compensated. The source undoes this compensation
+    BagScanProvider(const BagRecording& bag, const std::vector<LidarTopic>& lidars,
+                    const std::vector<FrameCloudMessage>& clouds, LogClock clock,
+                    LidarPoseFunction deskewed_by = {})
+        : bag_(bag), lidars_(lidars), clouds_(clouds), clock_(clock), deskewed_by_(std::move(deskewed_by)) {}
+
+    std::string get_frame_name(std::size_t frame_index) const override;
+    bool is_stored_as_points(std::size_t frame) const override {
+        return lidars_[clouds_[frame].lidar].clouds->packets.empty();
+    }
+    LidarPoints read_points_of_frame(std::size_t frame_index) const override;
+    Scan read_rays_of_frame(std::size_t frame_index) const override;
+
+private:
+    const BagRecording& bag_;
+    const std::vector<LidarTopic>& lidars_;
+    const std::vector<FrameCloudMessage>& clouds_;
+    const LogClock clock_;
+    const LidarPoseFunction deskewed_by_;
+
+    read::PointTable read_or_reuse_point_table(std::size_t frame_index,
+                                                 const MessagePosition& message_position) const;
+    LidarPoints read_points_of_cloud(std::size_t frame_index, const CloudIndexEntry& cloud,
+                                     double cloud_time_s) const;
+};
+
+}  // namespace relidar::bag

@@ -1,0 +1,200 @@
+// SPDX-License-Identifier: Apache-2.0
+// Reads boxes from vision_msgs/Detection3DArray and Autoware's TrackedObjects. The layout
+// of vision_msgs depends on its version, which some recordings do not name. So the reader
+// tries all known versions and uses the version that reads the message completely.
+#include <algorithm>
+#include <cmath>
+#include <iterator>
+
+#include "base/fail.hpp"
+#include "read/bag/messages.hpp"
+
+namespace relidar::bag {
+namespace {
+
+constexpr std::size_t kCovariance = 36, kTwist = 6 + kCovariance;  // number of doubles
+// maximum number of padding bytes that CDR appends after the last field
+constexpr std::size_t kPadding = 3;
+
+void skip_doubles(MessageReader& reader, std::size_t count) {
+    for (std::size_t i = 0; i < count; ++i) reader.read_number<double>();
+}
+
+glm::dvec3 read_vector3(MessageReader& reader) {
+    glm::dvec3 v;
+    for (int a = 0; a < 3; ++a) v[a] = reader.read_number<double>();
+    return v;
+}
+
+/// Optional fields of Detection3D messages in one version of vision_msgs. They follow the
+/// fields header, results and box, which every version has.
+struct DetectionMessageLayout {
+    bool has_text;      ///< true if classes are strings, false if they are numbers
+    bool has_cloud;     ///< true if the message has the field source_cloud
+    bool is_flagged;    ///< true if the message has the field is_tracking
+    bool has_identity;  ///< id, formerly tracking_id
+};
+constexpr DetectionMessageLayout kDetectionLayouts[] = {
+    {true, false, false, true},   // versions 3 and 4, ROS 2
+    {true, true, true, true},     // version 2 for ROS 2
+    {true, true, false, false},   // version 1 for ROS 2
+    {false, true, false, false},  // older version for ROS 1
+    {false, true, true, true},    // newer version for ROS 1
+};
+
+/// Returns the class with the highest score.
+std::string read_results_and_get_best_class(MessageReader& reader, const DetectionMessageLayout& layout) {
+    constexpr std::size_t kLeastResult = 8 * (1 + 7 + kCovariance);
+    std::string best;
+    double best_score = -INFINITY;
+    const std::size_t n = reader.read_list_length(kLeastResult);
+    for (std::size_t i = 0; i < n; ++i) {
+        const std::string name = layout.has_text
+                                     ? std::string(reader.read_string())
+                                     : fmt::format("class {}", reader.read_number<std::int64_t>());
+        const auto score = reader.read_number<double>();
+        skip_doubles(reader, std::tuple_size_v<PoseComponents> + kCovariance);
+        if (best.empty() || score > best_score) {
+            best = name;
+            best_score = score;
+        }
+    }
+    return best;
+}
+
+BoxListMessage read_detections_with_layout(MessageReader reader, const DetectionMessageLayout& layout) {
+    constexpr std::size_t kLeastDetection = 8 * 10;
+    BoxListMessage list{read_header(reader), {}, 0};
+    const std::size_t n = reader.read_list_length(kLeastDetection);
+    for (std::size_t i = 0; i < n; ++i) {
+        BoxMessage box{read_header(reader), {}, read_results_and_get_best_class(reader, layout), {}, {}};
+        const PoseComponents pose = read_position_and_quaternion(reader);
+        box.size_m = read_vector3(reader);
+        // Also skips is_dense, the last field of source_cloud, because read_point_cloud()
+        // does not read it.
+        if (layout.has_cloud) {
+            read_point_cloud(reader);
+            reader.read_number<std::uint8_t>();
+        }
+        if (layout.is_flagged) reader.read_number<std::uint8_t>();
+        if (layout.has_identity) box.id = reader.read_string();
+        if (box.header.frame.empty()) box.header = list.header;
+        if (box.header.stamp_ns == 0) box.header.stamp_ns = list.header.stamp_ns;
+        list.add_if_valid(std::move(box), pose);
+    }
+    if (reader.count_remaining_bytes() > (reader.is_ros1() ? 0 : kPadding))
+        fail("found {} bytes after the last of {} boxes, expected no bytes after the boxes",
+             reader.count_remaining_bytes(), n);
+    return list;
+}
+
+BoxListMessage read_detections_of_any_version(const MessageReader& reader) {
+    std::string why;
+    for (const DetectionMessageLayout& layout : kDetectionLayouts) {
+        try {
+            return read_detections_with_layout(reader, layout);
+        } catch (const DataError& error) {
+            if (why.empty()) why = error.what();
+        }
+    }
+    fail("the message matches no version of vision_msgs/Detection3DArray; the error with the newest is: {}",
+         why);
+}
+
+/// Names of Autoware's ObjectClassification labels, indexed by label number.
+constexpr const char* kLabels[] = {"unknown",    "car",     "truck",      "bus",   "trailer",
+                                   "motorcycle", "bicycle", "pedestrian", "animal"};
+
+std::string read_most_probable_label(MessageReader& reader) {
+    std::uint8_t best = 0;
+    float best_probability = -1.0f;
+    const std::size_t n = reader.read_list_length(5);
+    for (std::size_t i = 0; i < n; ++i) {
+        const auto label = reader.read_number<std::uint8_t>();
+        const auto probability = reader.read_number<float>();
+        if (probability > best_probability) {
+            best = label;
+            best_probability = probability;
+        }
+    }
+    return best < std::size(kLabels) ? kLabels[best] : fmt::format("class {}", best);
+}
+
+/// Returns a UUID as text, or an empty string if all bytes are 0.
+std::string read_uuid(MessageReader& reader) {
+    constexpr std::size_t kBytes = 16;
+    const std::string_view bytes = reader.read_bytes(kBytes);
+    std::string text;
+    for (std::size_t i = 0; i < kBytes; ++i) {
+        if (i == 4 || i == 6 || i == 8 || i == 10) text += '-';
+        text += fmt::format("{:02x}", static_cast<unsigned char>(bytes[i]));
+    }
+    return std::ranges::all_of(bytes, [](char character) { return character == '\0'; }) ? "" : text;
+}
+
+/// Reads the shape of an object. For a polygon, which has no length and width, uses the
+/// box around its footprint.
+void read_shape_and_set_box_size(MessageReader& reader, BoxMessage& box, PoseComponents& pose) {
+    constexpr std::uint8_t kPolygon = 2;
+    const auto type = reader.read_number<std::uint8_t>();
+    glm::dvec2 least(INFINITY), most(-INFINITY);
+    const std::size_t n = reader.read_list_length(12);
+    for (std::size_t i = 0; i < n; ++i) {
+        const auto x = reader.read_number<float>(), y = reader.read_number<float>();
+        reader.read_number<float>();
+        least = glm::min(least, glm::dvec2(x, y));
+        most = glm::max(most, glm::dvec2(x, y));
+    }
+    box.size_m = read_vector3(reader);
+    if (type != kPolygon || n == 0) return;
+    const glm::dvec2 middle = 0.5 * (least + most);
+    const glm::dquat q(pose[6], pose[3], pose[4], pose[5]);
+    const glm::dvec3 shift = q * glm::dvec3(middle, 0.0);
+    for (int a = 0; a < 3; ++a) pose[std::size_t(a)] += shift[a];
+    box.size_m = {most - least, box.size_m.z};
+}
+
+/// @param is_autoware_auto  true for autoware_auto_perception_msgs, whose objects have
+/// the additional flag "heading is available"
+BoxListMessage read_tracked_objects(MessageReader& reader, bool is_autoware_auto) {
+    constexpr std::size_t kLeastObject = 16 + 8 * (7 + kCovariance + 2 * kTwist);
+    BoxListMessage list{read_header(reader), {}, 0};
+    const std::size_t n = reader.read_list_length(kLeastObject);
+    for (std::size_t i = 0; i < n; ++i) {
+        BoxMessage box{list.header, read_uuid(reader), {}, {}, {}};
+        reader.read_number<float>();  // skips the existence probability
+        box.category = read_most_probable_label(reader);
+        PoseComponents pose = read_position_and_quaternion(reader);
+        skip_doubles(reader, kCovariance);
+        if (is_autoware_auto) reader.read_number<std::uint8_t>();
+        skip_doubles(reader, 2 * kTwist);  // skips twist and acceleration
+        if (!is_autoware_auto) reader.read_number<std::uint8_t>();
+        reader.read_number<std::uint8_t>();  // skips the flag is_stationary
+        read_shape_and_set_box_size(reader, box, pose);
+        list.add_if_valid(std::move(box), pose);
+    }
+    return list;
+}
+
+}  // namespace
+
+void BoxListMessage::add_if_valid(BoxMessage box, const PoseComponents& pose) {
+    const glm::dvec3& s = box.size_m;
+    try {
+        box.frame_from_box = make_pose(pose);
+        if (std::isfinite(s.x + s.y + s.z) && std::min({s.x, s.y, s.z}) > 0.0)
+            boxes.push_back(std::move(box));
+        else ++n_left_out;
+    } catch (const DataError&) {
+        ++n_left_out;
+    }
+}
+
+BoxListMessage read_boxes_of_message(const BagTopic& topic, std::string_view message_bytes) {
+    if (topic.encoding == "protobuf") return read_foxglove_boxes(message_bytes);
+    MessageReader reader(message_bytes, topic.encoding == "ros1");
+    if (topic.type == "vision_msgs/Detection3DArray") return read_detections_of_any_version(reader);
+    return read_tracked_objects(reader, topic.type.starts_with("autoware_auto"));
+}
+
+}  // namespace relidar::bag

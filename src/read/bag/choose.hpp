@@ -1,0 +1,128 @@
+// SPDX-License-Identifier: Apache-2.0
+// Selects the topics of a recording that are loaded as a log: the clouds of each LiDAR,
+// the poses and the boxes. The user's settings override the automatic selection.
+#pragma once
+
+#include <cstdint>
+#include <functional>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "read/bag/survey.hpp"
+
+namespace relidar::bag {
+
+/// Time stamp and recording time of a message.
+struct MessageTimes {
+    std::int64_t stamp_ns = 0, log_ns = 0;
+};
+
+/// Ignores entries without a time stamp.
+template <class Entries>
+std::vector<MessageTimes> list_message_times(const Entries& entries) {
+    std::vector<MessageTimes> times;
+    for (const auto& entry : entries)
+        if (entry.stamp_ns != 0) times.push_back({entry.stamp_ns, entry.log_ns});
+    return times;
+}
+
+/// Returns the message that was recorded nearest to a time, or null if there is none.
+/// @param messages  in the order of their recording times
+const MessageTimes* find_nearest_recorded(const std::vector<MessageTimes>& messages, std::int64_t log_ns);
+
+struct ClockOffset {
+    std::int64_t offset_ns = 0;  ///< 0 if the time stamps may come from one clock
+    /// Change of the offset from the begin to the end of the recording. 0 if it is small.
+    std::int64_t drift_ns = 0;
+    /// True if the offset is certain. Otherwise, late messages are also possible.
+    bool is_clear = false;
+
+    /// Returns the offset that corrects time stamps: 0 if the offset is not certain.
+    std::int64_t correction_ns() const { return is_clear ? offset_ns : 0; }
+    /// Returns the offset with its usual cause, for example "37.000 s ahead of the time
+    /// stamps of the poses (TAI minus UTC is 37 s)".
+    std::string describe(const std::string& reference_name) const;
+};
+
+/// Compares two kinds of messages by their time stamps minus their recording times.
+/// Delays of some hundred milliseconds and unrelated recording times give no offset.
+/// @return time by which the clock of `messages` is ahead of the clock of `reference`
+ClockOffset estimate_clock_offset(const std::vector<MessageTimes>& messages,
+                                  std::vector<MessageTimes> reference);
+
+/// The point cloud topics that are loaded.
+struct SelectedCloudTopics {
+    std::vector<std::size_t> lidars;  ///< indices in BagIndex::clouds; each LiDAR has a different frame
+    /// main LiDAR, as an index in `lidars`; each of its clouds starts a new frame
+    std::size_t main = 0;
+    std::vector<std::string> notes;
+};
+/// @param requested_topics  names of topics; empty: automatic selection
+/// @throws DataError if no topic contains clouds
+/// @throws UsageError if a requested topic contains no clouds
+SelectedCloudTopics choose_cloud_topics(const BagRecording& bag, const BagIndex& bag_index,
+                                        const std::vector<std::string>& requested_topics);
+
+/// Removes clouds whose times differ from those of their neighbours on both sides. If the
+/// clock of the time stamps jumps, sets all clouds to the clock of the reference, or else
+/// to the clock of most clouds. Ignores messages that may only be late.
+/// @param reference  messages on the right clock, for example the poses. If their clock
+/// jumps at the same time, nothing is corrected. May be empty
+/// @return text about the changes, or an empty text
+std::string correct_clock_jumps(std::vector<CloudIndexEntry>& clouds, LogClock clock,
+                                std::vector<MessageTimes> reference);
+
+/// Which vehicle poses of a bag are used, and which clock gives the times.
+struct SelectedPoseSource {
+    LogClock clock = LogClock::stamps;
+    std::int64_t zero_ns = 0;  ///< time of the first cloud, which is 0 s in the log
+    /// the same on the clock of the poses
+    std::int64_t poses_zero_ns = 0;
+    /// Pose of the vehicle in the world frame. Empty if the bag has no poses.
+    std::optional<TransformChain> path;
+    std::string world;       ///< frame in which `path` is expressed
+    std::string vehicle;     ///< frame of the vehicle, on which the LiDARs are mounted
+    std::string about;       ///< description of the selection
+    std::string clock_note;  ///< text about a clock offset between clouds and poses; may be empty
+    std::vector<std::string> notes;
+};
+/// @param main_lidar_clouds  the poses must cover their times. Damaged times are
+/// corrected or their clouds removed
+/// @param requested_frame_or_topic  frame or pose topic; empty: automatic selection
+/// @throws UsageError if `requested_frame_or_topic` is neither a frame nor a pose topic
+SelectedPoseSource choose_vehicle_pose_source(const BagRecording& bag, const BagIndex& bag_index,
+                                              CloudTopic& main_lidar_clouds,
+                                              const std::string& requested_frame_or_topic);
+
+struct SelectedBoxTopic {
+    const BoxTopic* topic = nullptr;  ///< box topic in BagIndex::boxes, or null
+    std::vector<std::string> notes;
+};
+/// Selects the topic with the most boxes that have a track id. If two topics have the
+/// same number, selects the first one by name.
+SelectedBoxTopic choose_box_topic(const BagRecording& bag, const BagIndex& bag_index);
+
+struct BoxTransformContext {
+    const FrameTree& frames;
+    const SelectedPoseSource& poses;
+    std::string vehicle;  ///< frame whose poses are known
+    std::function<Pose(double)> world_from_vehicle;
+    std::int64_t box_zero_ns = 0;  ///< time on the clock of the boxes that is 0 s in the log
+    /// True if the vehicle poses were read from the bag, so that `poses.world` is the
+    /// world frame of the log.
+    bool is_world_of_poses = false;
+};
+
+struct LoadedBoxTracks {
+    std::vector<BoxTrack> tracks;
+    std::vector<std::string> notes;
+};
+/// Reads the boxes of a topic and joins the boxes of each object to a track. Accepts
+/// times up to one time step before the first or after the last frame.
+/// @param frame_times_s  times of the frames of the log in seconds, ascending
+LoadedBoxTracks read_box_tracks_from_bag(const BagRecording& bag, const BoxTopic& box_topic,
+                                         const BoxTransformContext& transform_context,
+                                         const std::vector<double>& frame_times_s);
+
+}  // namespace relidar::bag

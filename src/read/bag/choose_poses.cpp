@@ -1,0 +1,223 @@
+// SPDX-License-Identifier: Apache-2.0
+#include <algorithm>
+
+#include <fmt/ranges.h>
+
+#include "base/fail.hpp"
+#include "base/files.hpp"
+#include "read/bag/choose.hpp"
+
+namespace relidar::bag {
+namespace {
+
+/// A possible source of vehicle poses: a pose topic, or a chain of transforms.
+struct PoseSourceCandidate {
+    /// name of the frame in which the poses are given, for example "map"
+    std::string outer;
+    const PoseTopic* topic = nullptr;  ///< pose topic; null if the poses come from the transforms in /tf
+    std::string vehicle;
+    std::string about;
+};
+
+/// Returns the first frame from the sensor to `ancestor_frame` that moves relative to its
+/// parent, or the sensor's frame.
+std::string find_vehicle_frame_below_ancestor(const FrameTree& frame_tree,
+                                              const std::vector<std::string>& frame_path_to_root,
+                                              const std::string& ancestor_frame) {
+    for (const std::string& frame : frame_path_to_root) {
+        if (frame == ancestor_frame) break;
+        if (frame_tree.is_frame_moving(frame)) return frame;
+    }
+    return frame_path_to_root.front();
+}
+
+bool has_moving_transform_up_to(const FrameTree& frame_tree,
+                                const std::vector<std::string>& frame_path_to_root,
+                                const std::string& ancestor_frame) {
+    const auto end = std::ranges::find(frame_path_to_root, ancestor_frame);
+    return std::any_of(frame_path_to_root.begin(), end,
+                       [&](const std::string& frame) { return frame_tree.is_frame_moving(frame); });
+}
+
+PoseSourceCandidate make_pose_source_from_tf(const FrameTree& frame_tree,
+                                             const std::vector<std::string>& frame_path_to_root,
+                                             const std::string& ancestor_frame) {
+    PoseSourceCandidate source;
+    source.outer = ancestor_frame;
+    source.vehicle = find_vehicle_frame_below_ancestor(frame_tree, frame_path_to_root, ancestor_frame);
+    source.about = fmt::format("poses of the frame '{}' in the frame '{}' are read from /tf (path {}){}",
+                               source.vehicle, ancestor_frame, fmt::join(frame_path_to_root, " < "),
+                               has_moving_transform_up_to(frame_tree, frame_path_to_root, ancestor_frame)
+                                   ? ""
+                                   : "; these poses are constant, so the LiDAR does not move");
+    return source;
+}
+
+PoseSourceCandidate make_pose_source_from_topic(const BagRecording& bag, const FrameTree& frame_tree,
+                                                const PoseTopic& pose_topic, const std::string& lidar_frame,
+                                                std::vector<std::string>& notes) {
+    PoseSourceCandidate source{
+        pose_topic.parent, &pose_topic, pose_topic.child.empty() ? "base_link" : pose_topic.child, {}};
+    const std::string& name = bag.topics()[pose_topic.topic].name;
+    if (!frame_tree.find_constant_transform(source.vehicle, lidar_frame)) {
+        notes.push_back(
+            fmt::format("/tf_static has no transform between '{}' and '{}', so the poses of {} are used as "
+                        "poses of the LiDAR",
+                        lidar_frame, source.vehicle, name));
+        source.vehicle = lidar_frame;
+    }
+    source.about = fmt::format("poses of the frame '{}' in the frame '{}' are read from the topic {}",
+                               source.vehicle, pose_topic.parent, name);
+    return source;
+}
+
+std::optional<PoseSourceCandidate> find_requested_pose_source(
+    const BagRecording& bag, const BagIndex& bag_index, const std::vector<std::string>& frame_path_to_root,
+    const std::string& requested_frame_or_topic, std::vector<std::string>& notes) {
+    if (requested_frame_or_topic.empty()) return std::nullopt;
+    if (std::find(frame_path_to_root.begin() + 1, frame_path_to_root.end(), requested_frame_or_topic) !=
+        frame_path_to_root.end())
+        return make_pose_source_from_tf(bag_index.frames, frame_path_to_root, requested_frame_or_topic);
+    std::vector<std::string> available_sources(frame_path_to_root.begin() + 1, frame_path_to_root.end());
+    for (const PoseTopic& topic : bag_index.poses) {
+        if (bag.topics()[topic.topic].name == requested_frame_or_topic)
+            return make_pose_source_from_topic(bag, bag_index.frames, topic, frame_path_to_root.front(),
+                                               notes);
+        available_sources.push_back(bag.topics()[topic.topic].name);
+    }
+    fail<UsageError>(
+        "dataset.poses_from: found '{}', expected a parent frame of '{}' or a topic of poses: {}",
+        shorten_for_error_message(requested_frame_or_topic), frame_path_to_root.front(),
+        available_sources.empty() ? "none" : fmt::format("{}", fmt::join(available_sources, ", ")));
+}
+
+std::optional<PoseSourceCandidate> select_default_pose_source(
+    const BagRecording& bag, const BagIndex& bag_index, const std::vector<std::string>& frame_path_to_root,
+    std::vector<std::string>& notes) {
+    const std::string outer = std::ranges::find(frame_path_to_root, "map") != frame_path_to_root.end()
+                                  ? "map"
+                                  : frame_path_to_root.back();
+    if (has_moving_transform_up_to(bag_index.frames, frame_path_to_root, outer))
+        return make_pose_source_from_tf(bag_index.frames, frame_path_to_root, outer);
+    // Uses the pose topic with the most messages. Prefers odometry topics.
+    const auto best = std::ranges::max_element(bag_index.poses, {}, [&](const PoseTopic& p) {
+        return std::pair(bag.topics()[p.topic].type == "nav_msgs/Odometry", p.samples.size());
+    });
+    if (best != bag_index.poses.end() && best->samples.size() >= 2)
+        return make_pose_source_from_topic(bag, bag_index.frames, *best, frame_path_to_root.front(), notes);
+    for (const char* world : {"map", "odom", "world", "earth"})
+        if (outer == world && frame_path_to_root.size() > 1)
+            return make_pose_source_from_tf(bag_index.frames, frame_path_to_root, outer);
+    return std::nullopt;
+}
+
+TransformChain make_vehicle_pose_function(const BagIndex& bag_index, const PoseSourceCandidate& pose_source,
+                                          LogClock log_clock, std::int64_t time_origin_ns) {
+    if (!pose_source.topic)
+        return bag_index.frames.make_transform_chain_to_ancestor(pose_source.outer, pose_source.vehicle,
+                                                                 log_clock, time_origin_ns);
+    TransformChain path;
+    path.append_sampled_child_transform(pose_source.topic->samples, log_clock, time_origin_ns);
+    return path;
+}
+
+std::size_t count_clouds_with_pose(const CloudTopic& clouds, const TransformChain& vehicle_pose_function,
+                                   LogClock clock, std::int64_t time_origin_ns) {
+    return std::size_t(std::ranges::count_if(clouds.clouds, [&](const CloudIndexEntry& cloud) {
+        return vehicle_pose_function.covers_time(1e-9 * double(cloud.get_time_ns(clock) - time_origin_ns));
+    }));
+}
+
+/// Returns null if the source does not move.
+const std::vector<StampedPose>* find_pose_samples(const BagIndex& bag_index,
+                                                  const PoseSourceCandidate& source) {
+    return source.topic ? &source.topic->samples
+                        : bag_index.frames.find_fastest_samples(source.outer, source.vehicle);
+}
+
+/// Corrects a clock offset between clouds and poses if it is certain, and if more clouds
+/// then have a pose.
+void set_poses_and_correct_clock(SelectedPoseSource& choice, const BagIndex& bag_index,
+                                 const CloudTopic& clouds, const PoseSourceCandidate& source) {
+    choice.poses_zero_ns = choice.zero_ns;
+    choice.path = make_vehicle_pose_function(bag_index, source, choice.clock, choice.zero_ns);
+    const std::vector<StampedPose>* poses = find_pose_samples(bag_index, source);
+    if (choice.clock == LogClock::recorder || !poses) return;
+    const ClockOffset offset =
+        estimate_clock_offset(list_message_times(clouds.clouds), list_message_times(*poses));
+    if (offset.offset_ns == 0) return;
+    const std::int64_t zero_ns = choice.zero_ns - offset.offset_ns;
+    TransformChain corrected = make_vehicle_pose_function(bag_index, source, choice.clock, zero_ns);
+    const std::size_t n = count_clouds_with_pose(clouds, *choice.path, choice.clock, choice.zero_ns),
+                      n_corrected = count_clouds_with_pose(clouds, corrected, choice.clock, choice.zero_ns);
+    // If poses are only late, the correction cannot give a pose to more clouds.
+    constexpr std::size_t kMargin = 2;
+    const bool is_better = n_corrected > n + kMargin || n_corrected == clouds.clouds.size();
+    const std::string text = "compared with the recording times, the time stamps of the clouds are " +
+                             offset.describe("the time stamps of the poses");
+    if (offset.is_clear && is_better) {
+        choice.clock_note = text + ", so their clocks differ; the poses are shifted by this time";
+        choice.path = std::move(corrected);
+        choice.poses_zero_ns = zero_ns;
+    } else {
+        choice.clock_note =
+            text + "; the clocks differ or messages are late; nothing is corrected, so check the poses";
+    }
+}
+
+std::int64_t find_first_cloud_time_ns(const CloudTopic& clouds, LogClock clock) {
+    std::int64_t first = clouds.clouds.front().get_time_ns(clock);
+    for (const CloudIndexEntry& cloud : clouds.clouds) first = std::min(first, cloud.get_time_ns(clock));
+    return first;
+}
+
+}  // namespace
+
+SelectedPoseSource choose_vehicle_pose_source(const BagRecording& bag, const BagIndex& bag_index,
+                                              CloudTopic& main_lidar_clouds,
+                                              const std::string& requested_frame_or_topic) {
+    SelectedPoseSource choice;
+    const std::vector<std::string> frame_chain =
+        bag_index.frames.list_frames_to_root(main_lidar_clouds.frame);
+    std::optional<PoseSourceCandidate> source =
+        find_requested_pose_source(bag, bag_index, frame_chain, requested_frame_or_topic, choice.notes);
+    if (!source) source = select_default_pose_source(bag, bag_index, frame_chain, choice.notes);
+    const std::vector<StampedPose>* poses = source ? find_pose_samples(bag_index, *source) : nullptr;
+    const bool has_stamps = !list_message_times(main_lidar_clouds.clouds).empty();
+    if (!has_stamps || (poses && list_message_times(*poses).empty())) {
+        choice.clock = LogClock::recorder;
+        choice.notes.push_back(
+            fmt::format("the {} have no time stamps, so the times at which they were recorded are used",
+                        has_stamps ? "poses" : "clouds"));
+    }
+    if (const std::string note =
+            correct_clock_jumps(main_lidar_clouds.clouds, choice.clock,
+                                poses ? list_message_times(*poses) : std::vector<MessageTimes>{});
+        !note.empty())
+        choice.notes.push_back(note);
+    choice.zero_ns = choice.poses_zero_ns = find_first_cloud_time_ns(main_lidar_clouds, choice.clock);
+    choice.vehicle = main_lidar_clouds.frame;
+    if (!source) return choice;
+    set_poses_and_correct_clock(choice, bag_index, main_lidar_clouds, *source);
+    choice.world = source->outer;
+    choice.vehicle = source->vehicle;
+    choice.about = source->about;
+    const std::size_t n =
+        count_clouds_with_pose(main_lidar_clouds, *choice.path, choice.clock, choice.zero_ns);
+    if (choice.clock == LogClock::recorder || 2 * n >= main_lidar_clouds.clouds.size()) return choice;
+    const std::int64_t zero_ns = find_first_cloud_time_ns(main_lidar_clouds, LogClock::recorder);
+    TransformChain recorded = make_vehicle_pose_function(bag_index, *source, LogClock::recorder, zero_ns);
+    const std::size_t n_recorded =
+        count_clouds_with_pose(main_lidar_clouds, recorded, LogClock::recorder, zero_ns);
+    if (n_recorded <= n) return choice;
+    choice.notes.push_back(
+        fmt::format("the stamps of clouds and poses come from different clocks (only {} of {} clouds have a "
+                    "pose at their stamp), so the recording times of messages are used",
+                    n, main_lidar_clouds.clouds.size()));
+    choice.clock = LogClock::recorder;
+    choice.zero_ns = choice.poses_zero_ns = zero_ns;
+    choice.path = std::move(recorded);
+    return choice;
+}
+
+}  // namespace relidar::bag

@@ -1,0 +1,146 @@
+// SPDX-License-Identifier: Apache-2.0
+// Reads rosbag2 databases in SQLite. One table contains the topics. Another table
+// contains the messages: recording time and bytes.
+#include <map>
+#include <memory>
+#include <mutex>
+
+#include <sqlite3.h>
+
+#include "base/fail.hpp"
+#include "base/files.hpp"
+#include "read/bag/bag_file.hpp"
+#include "read/bag/part_file.hpp"
+
+namespace relidar::bag {
+namespace {
+
+struct CloseDatabase {
+    void operator()(sqlite3* database) const { sqlite3_close(database); }
+};
+struct FinishStatement {
+    void operator()(sqlite3_stmt* statement) const { sqlite3_finalize(statement); }
+};
+using Statement = std::unique_ptr<sqlite3_stmt, FinishStatement>;
+
+std::string get_text_column(sqlite3_stmt* statement, int column) {
+    const auto* text = reinterpret_cast<const char*>(sqlite3_column_text(statement, column));
+    return text ? std::string(text, std::size_t(sqlite3_column_bytes(statement, column))) : std::string();
+}
+
+std::string_view get_bytes_column(sqlite3_stmt* statement, int column) {
+    const auto* bytes = static_cast<const char*>(sqlite3_column_blob(statement, column));
+    return bytes ? std::string_view(bytes, std::size_t(sqlite3_column_bytes(statement, column)))
+                 : std::string_view();
+}
+
+class SqliteFile : public BagFile {
+public:
+    explicit SqliteFile(const std::filesystem::path& path)
+        : name_(path.string()), bytes_(RandomAccessFile(path).size()) {
+        std::error_code failed;
+        // The last messages can be in a write-ahead log "...-wal", which SQLite ignores
+        // in immutable mode.
+        const bool is_open = std::filesystem::exists(path.string() + "-wal", failed);
+        // Escapes the characters that have a special meaning in a URI.
+        std::string uri = "file:";
+        for (const char c : std::filesystem::absolute(path).string()) {
+            if (c == '?' || c == '#' || c == '%')
+                uri += fmt::format("%{:02X}", static_cast<unsigned char>(c));
+            else uri += c;
+        }
+        uri += is_open ? "?mode=ro" : "?mode=ro&immutable=1";
+        sqlite3* database = nullptr;
+        const int code = sqlite3_open_v2(
+            uri.c_str(), &database, SQLITE_OPEN_READONLY | SQLITE_OPEN_URI | SQLITE_OPEN_NOMUTEX, nullptr);
+        database_.reset(database);
+        if (code != SQLITE_OK) throw_database_error("opening the database");
+        // No value can be larger than the file. The margin is 1 MiB.
+        sqlite3_limit(database, SQLITE_LIMIT_LENGTH,
+                      int(std::min<std::uint64_t>(bytes_ + (1 << 20), 1 << 30)));
+        sqlite3_db_config(database, SQLITE_DBCONFIG_TRUSTED_SCHEMA, 0, nullptr);
+        sqlite3_db_config(database, SQLITE_DBCONFIG_DEFENSIVE, 1, nullptr);
+    }
+
+    void for_each_message(TopicTable& topics, const MessageReadCallbacks& callbacks) override {
+        const std::lock_guard guard(lock_);
+        std::map<std::int64_t, std::size_t> topic_of;
+        const Statement topic_rows =
+            prepare_statement("SELECT id, name, type, serialization_format FROM topics");
+        while (step_to_next_row(topic_rows.get()))
+            topic_of[sqlite3_column_int64(topic_rows.get(), 0)] = topics.find_or_add_topic_index(
+                {get_text_column(topic_rows.get(), 1), get_text_column(topic_rows.get(), 2),
+                 get_text_column(topic_rows.get(), 3)});
+        const std::int64_t last = get_last_row_id();
+        const Statement rows =
+            prepare_statement("SELECT rowid, topic_id, timestamp, data FROM messages ORDER BY rowid");
+        while (step_to_next_row(rows.get(), &callbacks)) {
+            const std::int64_t row = sqlite3_column_int64(rows.get(), 0);
+            const auto topic = topic_of.find(sqlite3_column_int64(rows.get(), 1));
+            if (topic == topic_of.end())
+                fail("{}: the message in row {} belongs to a topic that the file does not list", name_, row);
+            callbacks.done(last > 0 ? double(row) / double(last) : 0.0);
+            BagMessage message{topic->second, sqlite3_column_int64(rows.get(), 2), {}, {std::uint64_t(row)}};
+            // Reads bytes only for topics that the caller requested.
+            if (callbacks.topic_filter(topics.topics()[topic->second]))
+                message.bytes = get_bytes_column(rows.get(), 3);
+            callbacks.message_callback(message);
+        }
+    }
+
+    SharedBytes read_message_bytes(const MessagePosition& place) const override {
+        const std::lock_guard guard(lock_);
+        if (!one_) one_ = prepare_statement("SELECT data FROM messages WHERE rowid = ?");
+        sqlite3_reset(one_.get());
+        sqlite3_bind_int64(one_.get(), 1, std::int64_t(place.at));
+        if (!step_to_next_row(one_.get()))
+            fail("{}: row {} of the table 'messages' has disappeared since the file was opened", name_,
+                 place.at);
+        return make_shared_bytes(std::string(get_bytes_column(one_.get(), 0)));
+    }
+
+private:
+    const std::string name_;
+    const std::uint64_t bytes_;
+    std::unique_ptr<sqlite3, CloseDatabase> database_;
+    mutable std::mutex lock_;  ///< only one thread may use the database at a time
+    mutable Statement one_;
+
+    [[noreturn]] void throw_database_error(const char* action) const {
+        fail("{}: {} failed: {}; expected messages of rosbag2 in SQLite", name_, action,
+             shorten_for_error_message(database_ ? sqlite3_errmsg(database_.get()) : "not enough memory"));
+    }
+
+    Statement prepare_statement(const std::string& sql_text) const {
+        sqlite3_stmt* statement = nullptr;
+        if (sqlite3_prepare_v2(database_.get(), sql_text.c_str(), -1, &statement, nullptr) != SQLITE_OK)
+            throw_database_error("reading the list of tables");
+        return Statement(statement);
+    }
+
+    /// Reads the next row of a query. If the file is damaged and `callbacks` are given,
+    /// ends the query with a note. Messages before the damage remain usable.
+    bool step_to_next_row(sqlite3_stmt* statement, const MessageReadCallbacks* callbacks = nullptr) const {
+        const int code = sqlite3_step(statement);
+        if (callbacks && (code == SQLITE_CORRUPT || (code & 0xFF) == SQLITE_IOERR))
+            callbacks->note(
+                fmt::format("{}: the file is damaged or truncated ({}); later messages are missing", name_,
+                            sqlite3_errmsg(database_.get())));
+        else if (code != SQLITE_ROW && code != SQLITE_DONE)
+            throw_database_error("reading the list of messages");
+        return code == SQLITE_ROW;
+    }
+
+    std::int64_t get_last_row_id() const {
+        const Statement row = prepare_statement("SELECT max(rowid) FROM messages");
+        return step_to_next_row(row.get()) ? sqlite3_column_int64(row.get(), 0) : 0;
+    }
+};
+
+}  // namespace
+
+std::unique_ptr<BagFile> open_rosbag2_sqlite(const std::filesystem::path& file) {
+    return std::make_unique<SqliteFile>(file);
+}
+
+}  // namespace relidar::bag

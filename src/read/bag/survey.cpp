@@ -1,0 +1,338 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "read/bag/survey.hpp"
+
+#include <algorithm>
+#include <iterator>
+#include <optional>
+#include <set>
+#include <tuple>
+#include <utility>
+
+#include <fmt/format.h>
+
+#include <relidar/base/error.hpp>
+
+#include "base/median.hpp"
+#include "read/packets/ouster.hpp"
+#include "read/packets/packet_messages.hpp"
+#include "read/bag/part_file.hpp"
+
+namespace relidar::bag {
+namespace {
+
+constexpr std::ptrdiff_t kMostLidarsOnTopic = 32;
+
+class BagIndexer {
+public:
+    BagIndexer(const BagRecording& bag, BagIndex& survey) : bag_(bag), survey_(survey) {}
+
+    void add_message_to_index(const BagMessage& message) {
+        if (survey_.facts.size() <= message.topic) survey_.facts.resize(message.topic + 1);
+        TopicStatistics& facts = survey_.facts[message.topic];
+        if (facts.n++ == 0) facts.first_ns = facts.last_ns = message.log_ns;
+        facts.first_ns = std::min(facts.first_ns, message.log_ns);
+        facts.last_ns = std::max(facts.last_ns, message.log_ns);
+        count_broken(message.topic, [&] {
+            const BagTopic& topic = bag_.topics()[message.topic];
+            const MessagePurpose use = get_message_purpose_of_topic(topic);
+            if (use == MessagePurpose::cloud) index_cloud_message(topic, message);
+            if (use == MessagePurpose::packets) index_packet_message(topic, message);
+            if (use == MessagePurpose::metadata) store_first_ouster_metadata_message(topic, message);
+            if (use == MessagePurpose::transforms) index_transform_message(topic, message);
+            if (use == MessagePurpose::pose) index_pose_message(topic, message);
+            if (use == MessagePurpose::boxes) index_box_list_message(topic, message);
+        });
+    }
+
+    /// Packets that were recorded before their metadata are decoded in a second pass.
+    bool has_packets_for_second_pass() const { return !late_.empty(); }
+    bool is_topic_for_second_pass(std::size_t topic_index) const { return late_.contains(topic_index); }
+    void index_packets_in_second_pass(const BagMessage& message) {
+        count_broken(message.topic, [&] { index_packet_message(bag_.topics()[message.topic], message); });
+    }
+    /// Reads the metadata of Ousters from files next to the recording.
+    void read_ouster_metadata_files() {
+        if (has_read_metadata_) return;
+        has_read_metadata_ = true;
+        std::vector<std::string> broken;
+        for (const std::filesystem::path& file : bag_.get_file_paths())
+            for (const auto& format :
+                 packets::read_ouster_metadata_in_folder_of(remove_gz_extension(file), broken))
+                ousters_.push_back(format);
+        for (const std::string& text : broken) broken_metadata_ += fmt::format(" ({})", text);
+    }
+
+private:
+    const BagRecording& bag_;
+    BagIndex& survey_;
+    /// Angle correction files next to the recording, read when the first packet arrives.
+    std::optional<std::vector<packets::AngleCorrection>> corrections_;
+    packets::OusterMetadataList ousters_;  ///< metadata known so far
+    std::set<std::size_t> late_;           ///< topics with packets that were recorded before their metadata
+    std::string broken_metadata_;
+    bool has_read_metadata_ = false;
+
+    template <class Function>
+    void count_broken(std::size_t topic_index, const Function& index) {
+        try {
+            index();
+        } catch (const DataError& error) {
+            TopicStatistics& facts = survey_.facts[topic_index];
+            if (facts.n_broken++ == 0) facts.broken = error.what();
+        }
+    }
+
+    void index_cloud_message(const BagTopic& topic, const BagMessage& message) {
+        const CloudMessage cloud = read_cloud_of_message(topic, message.bytes);
+        // An empty cloud often has no frame.
+        const bool has_too_many =
+            std::ranges::count(survey_.clouds, message.topic, &CloudTopic::topic) > kMostLidarsOnTopic;
+        auto entry = std::ranges::find_if(survey_.clouds, [&](const CloudTopic& c) {
+            return c.topic == message.topic &&
+                   (has_too_many || cloud.size() == 0 || c.clouds.empty() || c.lidar == cloud.lidar);
+        });
+        if (entry == survey_.clouds.end()) {
+            entry = survey_.clouds.emplace(entry);
+            entry->topic = message.topic;
+        }
+        CloudTopic& clouds = *entry;
+        if (clouds.clouds.empty()) {
+            clouds.fields = cloud.fields;
+            clouds.frame = cloud.header.frame;
+            clouds.lidar = cloud.lidar;
+        }
+        if (cloud.size() == 0) {
+            ++clouds.n_empty;
+            return;
+        }
+        if (cloud.header.frame != clouds.frame && clouds.n_other_frame++ == 0)
+            clouds.other_frame = cloud.header.frame;
+        const auto n = std::uint32_t(std::min<std::size_t>(cloud.size(), UINT32_MAX));
+        clouds.clouds.push_back({cloud.header.stamp_ns, message.log_ns, n, message.message_position});
+        if (const std::optional<AzimuthArc> arc = compute_azimuth_range(cloud))
+            clouds.arcs.push_back({cloud.header.stamp_ns, message.log_ns, message.message_position, n, *arc});
+    }
+
+    void index_packet_message(const BagTopic& topic, const BagMessage& message) {
+        MessageHeader header;
+        const std::vector<packets::ReceivedPacket> views =
+            packets::read_packets_of_message(topic, message.bytes, message.log_ns, header);
+        if (views.empty()) return;
+        if (!corrections_) {
+            corrections_.emplace();  // a file with an error is read only once
+            std::vector<std::filesystem::path> names;
+            for (const std::filesystem::path& file : bag_.get_file_paths())
+                names.push_back(remove_gz_extension(file));
+            corrections_ = packets::find_angle_corrections(names);
+        }
+        packets::DecoderCalibration calibration{*corrections_};
+        if (topic.encoding == packets::kDatagrams) read_ouster_metadata_files();
+        calibration.ouster =
+            packets::find_ouster_metadata_of_packet(ousters_, topic.name, views.front().bytes);
+        if (packets::is_ouster_driver_packet_topic(topic)) {
+            if (!has_read_metadata_ && (late_.contains(message.topic) || !calibration.ouster))
+                return void(late_.insert(message.topic));
+            if (!calibration.ouster)
+                throw DataError(packets::format_ouster_packet_error(ousters_, bag_.get_file_paths().front(),
+                                                                    topic.name, views.front().bytes.size()) +
+                                broken_metadata_);
+        }
+        CloudTopic& clouds = find_or_add_topic_entry(survey_.clouds, message.topic);
+        clouds.frame = header.frame;
+        clouds.packets.add_packets_of_message(views, message.log_ns, message.message_position, calibration);
+    }
+
+    /// Drivers repeat the metadata. Ignores messages with other content.
+    void store_first_ouster_metadata_message(const BagTopic& topic, const BagMessage& message) {
+        if (std::ranges::any_of(ousters_, [&](const auto& ouster) { return ouster->where == topic.name; }))
+            return;
+        const std::string text = packets::read_text_message(topic, message.bytes);
+        if (packets::is_ouster_metadata(text))
+            ousters_.push_back(packets::parse_ouster_metadata(text, topic.name));
+    }
+
+    std::vector<TransformMessage> read_valid_transforms(const BagTopic& topic, const BagMessage& message) {
+        TransformListMessage list = read_transforms_of_message(topic, message.bytes);
+        TopicStatistics& facts = survey_.facts[message.topic];
+        if (facts.n_left_out == 0) facts.left_out = list.problem;
+        facts.n_left_out += list.n_left_out;
+        return std::move(list.transforms);
+    }
+
+    void index_transform_message(const BagTopic& topic, const BagMessage& message) {
+        const bool is_static = topic.name.ends_with("tf_static");
+        for (const TransformMessage& transform : read_valid_transforms(topic, message))
+            survey_.frames.add_transform(transform, message.log_ns, is_static);
+    }
+
+    void index_pose_message(const BagTopic& topic, const BagMessage& message) {
+        for (const TransformMessage& transform : read_valid_transforms(topic, message)) {
+            PoseTopic& poses = find_or_add_topic_entry(survey_.poses, message.topic);
+            if (poses.samples.empty()) {
+                poses.parent = transform.header.frame;
+                poses.child = transform.child;
+            }
+            poses.samples.push_back({transform.header.stamp_ns, message.log_ns, transform.parent_from_child});
+        }
+    }
+
+    void index_box_list_message(const BagTopic& topic, const BagMessage& message) {
+        const BoxListMessage list = read_boxes_of_message(topic, message.bytes);
+        BoxTopic& boxes = find_or_add_topic_entry(survey_.boxes, message.topic);
+        boxes.n_left_out += list.n_left_out;
+        if (list.boxes.empty()) return;
+        if (boxes.frame.empty()) boxes.frame = list.boxes.front().header.frame;
+        boxes.n_boxes += list.boxes.size();
+        boxes.n_named += std::size_t(
+            std::ranges::count_if(list.boxes, [](const BoxMessage& box) { return !box.id.empty(); }));
+        boxes.lists.push_back({list.boxes.front().header.stamp_ns, message.log_ns, message.message_position});
+    }
+
+    template <class Entry>
+    static Entry& find_or_add_topic_entry(std::vector<Entry>& entries, std::size_t topic_index) {
+        const auto existing_entry = std::ranges::find(entries, topic_index, &Entry::topic);
+        if (existing_entry != entries.end()) return *existing_entry;
+        entries.emplace_back().topic = topic_index;
+        return entries.back();
+    }
+};
+
+/// Ouster packets contain no frame name. Connects their clouds to the frame `os_lidar` of
+/// Ouster's driver, which is rotated by 180 degrees about z.
+void add_missing_ouster_transforms(const BagRecording& bag, BagIndex& bag_index) {
+    std::vector<CloudTopic*> ousters;
+    for (CloudTopic& clouds : bag_index.clouds)
+        if (packets::is_ouster_driver_packet_topic(bag.topics()[clouds.topic]) && !clouds.packets.empty())
+            ousters.push_back(&clouds);
+    for (CloudTopic* clouds : ousters) {
+        const std::string& name = bag.topics()[clouds->topic].name;
+        std::vector<std::string> prefixes{name.substr(0, name.rfind('/') + 1)};
+        if (prefixes[0].starts_with('/')) prefixes[0].erase(0, 1);
+        if (ousters.size() == 1) prefixes.emplace_back();
+        for (const std::string& prefix : prefixes) {
+            for (const char* frame : {"os_lidar", "os_sensor"})
+                clouds->driver_frames.push_back(prefix + frame);
+            if (bag_index.frames.list_frames_to_root(clouds->frame).size() > 1 ||
+                bag_index.frames.list_frames_to_root(prefix + "os_lidar").size() < 2)
+                continue;
+            bag_index.frames.add_transform(
+                {{0, prefix + "os_lidar"}, clouds->frame, {glm::dquat(0.0, 0.0, 0.0, 1.0), {}}}, 0, true);
+        }
+    }
+}
+
+/// Joins the entries of a topic, unless they belong to several LiDARs, which take turns.
+/// Clouds whose frame only changes once, and a few clouds with another frame, come from
+/// one LiDAR.
+void join_entries_of_one_lidar(std::vector<CloudTopic>& all, std::size_t topic) {
+    constexpr double kLeastShare = 0.25;  // of the clouds of the LiDAR with the most clouds
+    std::vector<CloudTopic*> entries;
+    for (CloudTopic& clouds : all)
+        if (clouds.topic == topic) entries.push_back(&clouds);
+    if (entries.size() == 1) entries[0]->lidar.clear();
+    if (entries.size() < 2) return;
+    const CloudTopic& most =
+        **std::ranges::max_element(entries, {}, [](const CloudTopic* c) { return c->clouds.size(); });
+    const auto get_order = [](const auto& entry) {
+        const MessagePosition& at = entry.message_position;
+        return std::tuple(at.file, at.at, at.in_chunk);
+    };
+    const auto is_lidar = [&](const CloudTopic* c) {
+        return c == &most || (get_order(c->clouds.front()) < get_order(most.clouds.back()) &&
+                              get_order(most.clouds.front()) < get_order(c->clouds.back()) &&
+                              double(c->clouds.size()) >= kLeastShare * double(most.clouds.size()));
+    };
+    const auto n_lidars = std::ranges::count_if(entries, is_lidar);
+    const bool is_one = n_lidars == 1 || std::ssize(entries) > kMostLidarsOnTopic;
+    CloudTopic& first = is_one ? *entries[0] : **std::ranges::find_if(entries, is_lidar);
+    if (is_one) first.lidar.clear();
+    for (CloudTopic* c : entries) {
+        if (c == &first || (!is_one && is_lidar(c))) continue;
+        if (c->frame != first.frame) {
+            if (first.n_other_frame == 0) first.other_frame = c->frame;
+            first.n_other_frame += c->clouds.size();
+        }
+        std::ranges::move(std::exchange(c->clouds, {}), std::back_inserter(first.clouds));
+        std::ranges::move(std::exchange(c->arcs, {}), std::back_inserter(first.arcs));
+    }
+    std::ranges::stable_sort(first.clouds, {}, get_order);
+    std::ranges::stable_sort(first.arcs, {}, get_order);
+    std::erase_if(all, [&](const CloudTopic& c) { return c.topic == topic && c.clouds.empty(); });
+}
+
+/// Joins clouds that are parts of a revolution. A revolution begins at the rear, so the
+/// head faces forward in its middle part. The revolution gets the time of this part.
+void join_partial_clouds_of_topic(CloudTopic& cloud_topic) {
+    const JoinedRevolutions joined = join_partial_clouds_to_revolutions(std::exchange(cloud_topic.arcs, {}));
+    if (joined.revolutions.empty()) return;
+    cloud_topic.clouds.clear();
+    for (const std::vector<RevolutionPart>& revolution : joined.revolutions) {
+        const RevolutionPart& middle = revolution[revolution.size() / 2];
+        CloudIndexEntry& entry = cloud_topic.clouds.emplace_back(
+            CloudIndexEntry{middle.stamp_ns, middle.log_ns, 0, middle.message_position, 0, revolution});
+        for (const RevolutionPart& part : revolution) entry.n_points += part.n_points;
+    }
+    cloud_topic.parts_about = fmt::format(
+        "{}; these clouds were combined into {} full revolutions of {} clouds each{}", joined.about,
+        joined.revolutions.size(), joined.revolutions[joined.revolutions.size() / 2].size(),
+        joined.n_left_out == 0
+            ? ""
+            : fmt::format("; {} clouds of incomplete revolutions are skipped", joined.n_left_out));
+}
+
+}  // namespace
+
+bool CloudTopic::has_field_with_attribute(read::PointAttribute attribute) const {
+    return std::ranges::any_of(fields, [&](const CloudMessage::CloudField& field) {
+        return read::find_attribute_of_field_name(field.name) == attribute;
+    });
+}
+
+std::string CloudTopic::make_name(const BagRecording& bag) const {
+    return bag.topics()[topic].name + (lidar.empty() ? "" : ":" + lidar);
+}
+
+std::size_t CloudTopic::compute_median_point_count() const {
+    if (clouds.empty()) return 0;
+    std::vector<std::uint32_t> counts;
+    for (const CloudIndexEntry& cloud : clouds) counts.push_back(cloud.n_points);
+    return compute_median(std::move(counts));
+}
+
+BagIndex index_bag_messages(BagRecording& bag, const ProgressReporter& progress) {
+    BagIndex survey;
+    BagIndexer surveyor(bag, survey);
+    bag.for_each_message(
+        [](const BagTopic& topic) { return get_message_purpose_of_topic(topic) != MessagePurpose::nothing; },
+        [&](const BagMessage& message) { surveyor.add_message_to_index(message); }, progress);
+    survey.facts.resize(bag.topics().size());
+    if (surveyor.has_packets_for_second_pass()) {
+        surveyor.read_ouster_metadata_files();
+        std::vector<bool> is_late;
+        for (std::size_t t = 0; t < bag.topics().size(); ++t)
+            is_late.push_back(surveyor.is_topic_for_second_pass(t));
+        bag.for_each_message(
+            [&](const BagTopic& topic) { return packets::is_ouster_driver_packet_topic(topic); },
+            [&](const BagMessage& message) {
+                if (message.topic < is_late.size() && is_late[message.topic])
+                    surveyor.index_packets_in_second_pass(message);
+            },
+            progress);
+    }
+    for (std::size_t t = 0; t < bag.topics().size(); ++t) join_entries_of_one_lidar(survey.clouds, t);
+    for (CloudTopic& clouds : survey.clouds) {
+        clouds.packets.sort_packets_and_find_revolutions();
+        clouds.revolutions = clouds.packets.get_revolutions();
+        for (std::size_t t = 0; t < clouds.revolutions.size(); ++t) {
+            const packets::PacketRevolution& revolution = clouds.revolutions[t];
+            clouds.clouds.push_back(
+                {revolution.forward_ns, revolution.log_ns, 0,
+                 clouds.packets.find_messages_of_revolution(revolution).front().message_position, t});
+        }
+    }
+    for (CloudTopic& clouds : survey.clouds) join_partial_clouds_of_topic(clouds);
+    add_missing_ouster_transforms(bag, survey);
+    return survey;
+}
+
+}  // namespace relidar::bag

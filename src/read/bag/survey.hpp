@@ -1,0 +1,237 @@
+// SPDX-License-Identifier: Apache-2.0
+// Declares the first pass over a recording. It collects the content of each topic, the
+// time and position of each cloud, and all poses.
+#pragma once
+
+#include <cstdint>
+#include <map>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include <relidar/base/progress.hpp>
+#include <relidar/log/sequence.hpp>
+
+#include "read/bag/bag_file.hpp"
+#include "read/bag/messages.hpp"
+#include "read/packets/packet_log.hpp"
+
+namespace relidar::bag {
+
+/// The clock that defines all times of a log.
+enum class LogClock {
+    stamps,  ///< time stamps in the message headers, which are the times of measurement
+    /// Times at which the recorder received the messages. Used if the clocks of sensors
+    /// and poses are not synchronised.
+    recorder
+};
+
+struct StampedPose {
+    std::int64_t stamp_ns = 0, log_ns = 0;
+    Pose pose;
+
+    std::int64_t get_time_ns(LogClock clock) const { return clock == LogClock::stamps ? stamp_ns : log_ns; }
+};
+
+/// Pose of a frame in one of its ancestor frames as a function of time: the product of
+/// all transforms in between.
+class TransformChain {
+public:
+    void append_constant_child_transform(Pose transform) { links_.push_back({{0.0}, {transform}}); }
+    /// @param pose_samples  in any order
+    /// @param time_origin_ns  time in nanoseconds at which the time of the log is 0 s
+    void append_sampled_child_transform(const std::vector<StampedPose>& pose_samples, LogClock clock,
+                                        std::int64_t time_origin_ns);
+    Pose compute_pose_at(double t_s) const;
+    /// Returns true if every transform is known at `t_s`: a moving one from 0.1 s before
+    /// its first sample to 0.1 s after its last.
+    bool covers_time(double t_s) const;
+    bool is_moving() const;
+
+private:
+    /// From the ancestor down to the child. A constant transform has a single sample.
+    std::vector<PoseTrack> links_;
+};
+
+/// Pose of frame "from" in frame "to" as a function of time. "above" is their nearest
+/// common ancestor.
+struct RelativeFramePose {
+    TransformChain above_from_to, above_from_from;
+
+    Pose compute_pose_at(double t_s) const {
+        return inverse(above_from_to.compute_pose_at(t_s)) * above_from_from.compute_pose_at(t_s);
+    }
+    bool covers_time(double t_s) const {
+        return above_from_to.covers_time(t_s) && above_from_from.covers_time(t_s);
+    }
+};
+
+class FrameTree {
+public:
+    void add_transform(const TransformMessage& transform, std::int64_t recording_time_ns, bool is_static);
+    bool empty() const { return parents_.empty(); }
+    /// Returns a frame and all its ancestors, up to the root of the tree.
+    std::vector<std::string> list_frames_to_root(const std::string& start_frame) const;
+    bool is_frame_moving(const std::string& frame) const;
+    /// Returns the pose of frame `source_frame` in frame `target_frame`. Returns nothing
+    /// if a transform between the frames is missing or changes over time.
+    std::optional<Pose> find_constant_transform(const std::string& target_frame,
+                                                const std::string& source_frame) const;
+    TransformChain make_transform_chain_to_ancestor(const std::string& ancestor_frame,
+                                                    const std::string& child_frame, LogClock clock,
+                                                    std::int64_t time_origin_ns) const;
+    /// Returns nothing if no transforms connect the two frames.
+    std::optional<RelativeFramePose> find_pose_function_between_frames(const std::string& target_frame,
+                                                                       const std::string& source_frame,
+                                                                       LogClock clock,
+                                                                       std::int64_t time_origin_ns) const;
+    /// Returns the samples of the moving transform with the most samples between a frame
+    /// and its ancestor frame. Returns null if no transform moves.
+    const std::vector<StampedPose>* find_fastest_samples(const std::string& ancestor_frame,
+                                                         const std::string& child_frame) const;
+    /// This class uses the parent with the most transforms.
+    std::vector<std::string> list_frames_with_several_parents() const;
+
+private:
+    struct FrameTreeEdge {
+        std::vector<StampedPose> samples;
+        bool is_static = false;  ///< from /tf_static
+        /// True if the samples differ. If all samples are equal, the transform is
+        /// constant, even if it was published on the topic /tf for moving frames.
+        bool changes = false;
+    };
+    std::map<std::string, std::map<std::string, FrameTreeEdge>> parents_;  ///< by frame, then by parent
+
+    const std::pair<const std::string, FrameTreeEdge>* find_parent_with_most_transforms(
+        const std::string& frame) const;
+};
+
+/// Interval of azimuths that contains a set of points.
+struct AzimuthArc {
+    float middle_rad = 0.0f, extent_rad = 0.0f;
+};
+/// Computes the azimuth range of a cloud, in steps of 6 degrees, from about 256 of its
+/// points. Returns nothing if the cloud has no field x or y.
+std::optional<AzimuthArc> compute_azimuth_range(const CloudMessage& cloud);
+
+struct RevolutionPart {
+    std::int64_t stamp_ns = 0, log_ns = 0;
+    MessagePosition message_position;
+    std::uint32_t n_points = 0;
+    AzimuthArc arc;
+};
+
+struct JoinedRevolutions {
+    /// Clouds of each full revolution, sorted by time. Empty if none need to be joined.
+    std::vector<std::vector<RevolutionPart>> revolutions;
+    std::size_t n_left_out = 0;  ///< parts of incomplete revolutions
+    std::string about;
+};
+/// Joins clouds that are parts of a revolution. Joins nothing if the clouds are full
+/// revolutions, or if the LiDAR scans a window and does not rotate.
+/// @param partial_clouds  all clouds of a topic
+JoinedRevolutions join_partial_clouds_to_revolutions(std::vector<RevolutionPart> partial_clouds);
+
+struct TopicStatistics {
+    std::size_t n = 0;                       ///< number of messages
+    std::int64_t first_ns = 0, last_ns = 0;  ///< recording times of the first and the last message
+    std::size_t n_broken = 0;                ///< messages that could not be read
+    std::string broken;                      ///< error of the first of them
+    std::size_t n_left_out = 0;              ///< transforms with an invalid pose
+    std::string left_out;                    ///< text about the first of them
+
+    double compute_message_rate_hz() const {
+        return n > 1 && last_ns > first_ns ? 1e9 * double(n - 1) / double(last_ns - first_ns) : 0.0;
+    }
+};
+
+struct CloudIndexEntry {
+    std::int64_t stamp_ns = 0, log_ns = 0;
+    std::uint32_t n_points = 0;
+    MessagePosition message_position;
+    std::size_t revolution_index = 0;  ///< index in CloudTopic::revolutions; used only for a topic of packets
+    /// Clouds from which this cloud was composed. Empty for a recorded full revolution.
+    std::vector<RevolutionPart> parts = {};
+    /// Time stamp in the message minus `stamp_ns`, if the clock of the LiDAR was set
+    /// during the recording.
+    std::int64_t correction_ns = 0;
+
+    std::int64_t get_time_ns(LogClock clock) const { return clock == LogClock::stamps ? stamp_ns : log_ns; }
+};
+
+/// The clouds of a LiDAR on a topic.
+struct CloudTopic {
+    std::size_t topic = 0;
+    /// CloudMessage::lidar; empty if the topic has one LiDAR
+    std::string lidar;
+    std::string frame;              ///< frame of the first cloud
+    std::size_t n_other_frame = 0;  ///< clouds that have another frame than the first cloud
+    std::string other_frame;        ///< frame of the first of these clouds
+    /// For Ouster packets: frames of the clouds that Ouster's driver computes from them
+    std::vector<std::string> driver_frames;
+    std::vector<CloudMessage::CloudField> fields;  ///< fields of the first cloud
+    /// Clouds with points, in the order of the recording. Parts of a revolution are
+    /// joined.
+    std::vector<CloudIndexEntry> clouds;
+    std::string parts_about;           ///< text about the joined clouds; empty if no clouds are joined
+    std::vector<RevolutionPart> arcs;  ///< used during the survey
+    std::size_t n_empty = 0;
+    /// Packets, if the topic has these instead of clouds. Each revolution becomes one
+    /// scan.
+    packets::PacketIndex packets;
+    std::vector<packets::PacketRevolution> revolutions;
+
+    bool has_field_with_attribute(read::PointAttribute attribute) const;
+    std::size_t compute_median_point_count() const;
+    /// Returns the name of the LiDAR: the topic, and `lidar` if it is not empty.
+    std::string make_name(const BagRecording& bag) const;
+};
+
+struct PoseTopic {
+    std::size_t topic = 0;
+    std::string parent, child;  ///< names of the parent and the child frame; the child may be empty
+    std::vector<StampedPose> samples;
+};
+
+/// A message that contains at least one box.
+struct BoxIndexEntry {
+    std::int64_t stamp_ns = 0, log_ns = 0;
+    MessagePosition message_position;
+};
+
+struct BoxTopic {
+    std::size_t topic = 0;
+    std::string frame;  ///< frame of the first box
+    std::vector<BoxIndexEntry> lists;
+    std::size_t n_boxes = 0, n_named = 0;  ///< number of boxes, and number of boxes that have a track id
+    /// number of boxes that are ignored because their size or their pose is invalid
+    std::size_t n_left_out = 0;
+};
+
+struct BagIndex {
+    std::vector<TopicStatistics>
+        facts;  ///< message statistics of each topic, in the order of BagRecording::topics()
+    std::vector<CloudTopic> clouds;
+    std::vector<PoseTopic> poses;
+    std::vector<BoxTopic> boxes;
+    FrameTree frames;
+};
+
+/// Reads all messages of a recording and lists its content. Counts invalid messages.
+/// @throws DataError if a file is damaged
+BagIndex index_bag_messages(BagRecording& bag, const ProgressReporter& progress);
+
+/// Returns one line per topic: name, type, number of messages, rate, and its content.
+/// @param is_topic_used  [topics] true if the topic is loaded
+std::vector<std::string> format_line_per_topic(const BagRecording& bag, const BagIndex& bag_index,
+                                               const std::vector<bool>& is_topic_used);
+
+// The following texts are empty if there is nothing to report.
+/// Describes missing sweeps, which cause time steps that are much longer than usual.
+std::string describe_missing_sweeps(const std::vector<double>& sweep_times_s, double sweep_period_s);
+/// Describes clouds that have another frame than the first cloud of the topic.
+std::string describe_clouds_with_differing_frame_id(const CloudTopic& cloud_topic);
+/// Describes time stamps that decrease, or that jump relative to the recording times.
+std::string describe_time_jumps(const CloudTopic& cloud_topic);
+
+}  // namespace relidar::bag

@@ -1,0 +1,168 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "read/bag/survey.hpp"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <complex>
+#include <cstring>
+
+#include <fmt/format.h>
+
+#include "base/median.hpp"
+
+namespace relidar::bag {
+namespace {
+
+constexpr std::size_t kSamples = 256, kBins = 60;
+// A cloud with a wider azimuth range is a full revolution in which the vehicle blocks
+// some directions.
+constexpr double kMostOfPart = 300.0 * kPi / 180.0;
+// If the clouds together leave a wider azimuth gap, the LiDAR does not rotate.
+constexpr double kLeastGap_rad = kPi / 3.0;
+// Clouds are slices of a revolution if their azimuth steps are about equal, |mean of
+// exp(i step)| >= kTogether, and about as wide as a cloud, |mean step - w| <= kAbut mean
+// step. w is the median width of a cloud, or 2 pi minus this width if that is smaller.
+constexpr double kTogether = 0.8, kAbut = 0.4;
+// A part of a revolution is missing if a time step exceeds this multiple of the usual
+// step.
+constexpr double kPause = 1.6;
+constexpr double kDegrees = 180.0 / kPi;
+
+/// @param field  float or double
+double read_float_field_value(const CloudMessage& cloud, const CloudMessage::CloudField& field,
+                              std::size_t point_index) {
+    const std::size_t row = point_index / cloud.width * (cloud.height > 1 ? cloud.row_step : 0);
+    char raw[8] = {};
+    std::memcpy(raw, cloud.data.data() + row + point_index % cloud.width * cloud.point_step + field.offset,
+                field.size);
+    if (cloud.is_big_endian) std::reverse(raw, raw + field.size);
+    float narrow;
+    double wide;
+    std::memcpy(&narrow, raw, sizeof narrow);
+    std::memcpy(&wide, raw, sizeof wide);
+    return field.size == sizeof narrow ? double(narrow) : wide;
+}
+
+const CloudMessage::CloudField* find_float_field(const CloudMessage& cloud, const char* field_name) {
+    const auto field = std::ranges::find(cloud.fields, field_name, &CloudMessage::CloudField::name);
+    return field == cloud.fields.end() || field->kind != 'F' ? nullptr : &*field;
+}
+
+/// Returns the full circle except its widest gap.
+std::optional<AzimuthArc> find_occupied_azimuth_range(const std::array<bool, kBins>& is_bin_occupied) {
+    std::size_t widest = 0, end = 0, run = 0;
+    // Loops over the circle twice, because its widest gap may contain the azimuth pi.
+    for (std::size_t b = 0; b < 2 * kBins; ++b) {
+        run = is_bin_occupied[b % kBins] ? 0 : run + 1;
+        if (run > widest) {
+            widest = run;
+            end = b + 1;
+        }
+    }
+    if (widest >= kBins) return std::nullopt;
+    const double bin = 2.0 * kPi / kBins, extent = 2.0 * kPi - bin * double(widest);
+    return AzimuthArc{float(std::remainder(bin * double(end) - kPi + 0.5 * extent, 2.0 * kPi)),
+                      float(extent)};
+}
+
+double compute_widest_azimuth_gap_rad(const std::vector<RevolutionPart>& partial_clouds) {
+    std::array<bool, kBins> is_bin_occupied{};
+    for (const RevolutionPart& cloud : partial_clouds)
+        for (double a = -0.5; a <= 0.5; a += 0.01) {
+            const double azimuth =
+                std::remainder(double(cloud.arc.middle_rad) + a * double(cloud.arc.extent_rad), 2.0 * kPi);
+            is_bin_occupied[std::size_t((azimuth / (2.0 * kPi) + 0.5) * kBins) % kBins] = true;
+        }
+    const std::optional<AzimuthArc> all = find_occupied_azimuth_range(is_bin_occupied);
+    return 2.0 * kPi - double(all ? all->extent_rad : 0.0f);
+}
+
+/// How a revolution is split into several clouds.
+struct RevolutionPartition {
+    double extent_rad;  ///< median azimuth width of a cloud
+    /// Mean azimuth step from cloud to cloud. Negative if the LiDAR rotates clockwise,
+    /// and if clouds are half revolutions, because the direction is then unknown.
+    double step_rad;
+    double step_s;
+    /// Azimuth at which a revolution begins: the border between two clouds that is
+    /// nearest to the rear of the LiDAR.
+    double cut_rad;
+};
+
+std::optional<RevolutionPartition> estimate_how_clouds_split_revolution(
+    const std::vector<RevolutionPart>& partial_clouds) {
+    if (partial_clouds.size() < 4) return std::nullopt;
+    std::vector<float> extents;
+    std::vector<std::int64_t> steps_ns;
+    std::complex<double> sum = 0.0;
+    for (std::size_t k = 0; k < partial_clouds.size(); ++k) {
+        extents.push_back(partial_clouds[k].arc.extent_rad);
+        if (k == 0) continue;
+        steps_ns.push_back(partial_clouds[k].stamp_ns - partial_clouds[k - 1].stamp_ns);
+        sum += std::polar(
+            1.0, double(partial_clouds[k].arc.middle_rad) - double(partial_clouds[k - 1].arc.middle_rad));
+    }
+    const double extent = compute_median(extents), step = std::abs(std::arg(sum));
+    if (extent > kMostOfPart || std::abs(sum) < kTogether * double(partial_clouds.size() - 1))
+        return std::nullopt;
+    if (std::abs(step - std::min(extent, 2.0 * kPi - extent)) > kAbut * step ||
+        compute_widest_azimuth_gap_rad(partial_clouds) > kLeastGap_rad)
+        return std::nullopt;
+    const double n = std::round(2.0 * kPi / step);
+    std::complex<double> phase = 0.0;
+    for (const RevolutionPart& cloud : partial_clouds)
+        phase += std::polar(1.0, n * double(cloud.arc.middle_rad));
+    const double first_cut = (std::arg(phase) + kPi) / n, width = 2.0 * kPi / n;
+    const double cut = first_cut + width * std::round((kPi - first_cut) / width);
+    return RevolutionPartition{extent, n < 2.5 || std::arg(sum) < 0.0 ? -step : step,
+                               1e-9 * compute_median(steps_ns), cut};
+}
+
+}  // namespace
+
+std::optional<AzimuthArc> compute_azimuth_range(const CloudMessage& cloud) {
+    const CloudMessage::CloudField *x = find_float_field(cloud, "x"), *y = find_float_field(cloud, "y");
+    if (!x || !y) return std::nullopt;
+    std::array<bool, kBins> is_bin_occupied{};
+    const std::size_t n = std::min(kSamples, cloud.size());
+    for (std::size_t k = 0; k < n; ++k) {
+        const std::size_t point = k * cloud.size() / n;
+        const double px = read_float_field_value(cloud, *x, point),
+                     py = read_float_field_value(cloud, *y, point);
+        if (!std::isfinite(px) || !std::isfinite(py) || (px == 0.0 && py == 0.0)) continue;
+        is_bin_occupied[std::size_t((std::atan2(py, px) / (2.0 * kPi) + 0.5) * kBins) % kBins] = true;
+    }
+    return find_occupied_azimuth_range(is_bin_occupied);
+}
+
+JoinedRevolutions join_partial_clouds_to_revolutions(std::vector<RevolutionPart> partial_clouds) {
+    std::ranges::stable_sort(partial_clouds, {}, &RevolutionPart::stamp_ns);
+    const std::optional<RevolutionPartition> parts = estimate_how_clouds_split_revolution(partial_clouds);
+    JoinedRevolutions joined;
+    if (!parts) return joined;
+    // rotation since the start of the revolution, 0 to 2 pi
+    const auto turned = [&](const RevolutionPart& part) {
+        const double angle =
+            (parts->step_rad < 0.0 ? -1.0 : 1.0) * (double(part.arc.middle_rad) - parts->cut_rad);
+        return angle - 2.0 * kPi * std::floor(angle / (2.0 * kPi));
+    };
+    std::vector<std::vector<RevolutionPart>> revolutions;
+    for (std::size_t k = 0; k < partial_clouds.size(); ++k) {
+        const bool is_first = k == 0 || turned(partial_clouds[k]) <= turned(partial_clouds[k - 1]) ||
+                              1e-9 * double(partial_clouds[k].stamp_ns - partial_clouds[k - 1].stamp_ns) >
+                                  kPause * parts->step_s;
+        if (is_first) revolutions.emplace_back();
+        revolutions.back().push_back(partial_clouds[k]);
+    }
+    const auto clouds_per_revolution = std::size_t(std::floor(2.0 * kPi / std::abs(parts->step_rad) + 0.1));
+    for (std::vector<RevolutionPart>& revolution : revolutions) {
+        if (revolution.size() >= clouds_per_revolution) joined.revolutions.push_back(std::move(revolution));
+        else joined.n_left_out += revolution.size();
+    }
+    joined.about = fmt::format("each cloud covers only a part of a revolution, about {:.0f} degrees",
+                               parts->extent_rad * kDegrees);
+    return joined;
+}
+
+}  // namespace relidar::bag

@@ -1,0 +1,307 @@
+// SPDX-License-Identifier: Apache-2.0
+// Fits the firing angles of an HDL-64E in two steps. The first step fits the tick size of
+// the encoder and the left offset of each beam, so that the azimuths of a beam are close
+// to multiples of the tick size:
+//   max over tick, left of | mean exp(2 pi i (azimuth - asin(left / rho)) / tick) |
+// The second step fits the azimuth offset of each beam, in full ticks. It maximises the
+// number of ticks at which a beam and other beams have returns.
+#include "read/datasets/kitti/firing_lattice.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <complex>
+#include <numeric>
+
+#include <relidar/base/math.hpp>
+#include "base/median.hpp"
+#include "base/parallel.hpp"
+#include "log/sensor/beam_geometry.hpp"
+
+namespace relidar::kitti {
+namespace {
+
+// ticks of the encoder per revolution of an HDL-64E, measured on KITTI
+// (2011_09_26_drive_0005)
+constexpr int kEncoderTicks = 4000;
+// maximum azimuth offset of a beam from the head; real HDL-64Es have at most 0.16 rad
+constexpr double kMaxOffset_rad = 0.35;
+// A firing has returns of at least this many beams. Fewer can be stray points.
+constexpr int kMinLasers = 4;
+
+struct BeamPolarPoints {
+    std::vector<double> azimuth_rad, inverse_rho;
+};
+
+std::array<BeamPolarPoints, kRings> convert_far_points_to_polar_by_ring(
+    const std::vector<const ScanWithRings*>& scans) {
+    std::array<BeamPolarPoints, kRings> polar;
+    for (const ScanWithRings* scan : scans)
+        for (std::size_t i = 0; i < scan->points.size(); ++i) {
+            const glm::dvec4 p(scan->points[i]);
+            const double rho = std::hypot(p.x, p.y);
+            // The files are rounded to a millimetre, so azimuths of near points are
+            // inaccurate.
+            if (rho < 2.0) continue;
+            polar[scan->ring[i]].azimuth_rad.push_back(std::atan2(p.y, p.x));
+            polar[scan->ring[i]].inverse_rho.push_back(1.0 / rho);
+        }
+    return polar;
+}
+
+/// Returns the mean of exp(2 pi i (azimuth - lateral_offset_m / distance) / tick) over
+/// every `point_stride`-th point. Its argument is the phase of the azimuths; its absolute
+/// value is 1 if all points fit the ticks.
+std::complex<double> compute_mean_encoder_tick_phase(const BeamPolarPoints& beam_points,
+                                                     double encoder_tick_rad, double lateral_offset_m,
+                                                     std::size_t point_stride) {
+    std::complex<double> sum = 0.0;
+    std::size_t n = 0;
+    for (std::size_t i = 0; i < beam_points.azimuth_rad.size(); i += point_stride, ++n)
+        sum += std::polar(
+            1.0, 2.0 * kPi * (beam_points.azimuth_rad[i] - lateral_offset_m * beam_points.inverse_rho[i]) /
+                     encoder_tick_rad);
+    return n > 0 ? sum / double(n) : sum;
+}
+
+/// Model of a beam: azimuth = tick + phase_rad + left_m / distance from the spin axis.
+/// `concentration` is the quality of the fit, 0 to 1.
+struct TickGridPhase {
+    double left_m = 0.0, phase_rad = 0.0, concentration = 0.0;
+};
+
+/// Least squares of azimuth = n * encoder_tick_rad + phase_rad + left_m / distance, n
+/// integer.
+void refine_phase_by_least_squares(TickGridPhase& phase, const BeamPolarPoints& polar,
+                                   double encoder_tick_rad) {
+    double n = 0, su = 0, se = 0, suu = 0, sue = 0;
+    for (std::size_t i = 0; i < polar.azimuth_rad.size(); ++i) {
+        const double u = polar.inverse_rho[i];
+        const double e =
+            std::remainder(polar.azimuth_rad[i] - phase.left_m * u - phase.phase_rad, encoder_tick_rad);
+        if (std::abs(e) > 0.25 * encoder_tick_rad) continue;
+        n += 1;
+        su += u;
+        se += e;
+        suu += u * u;
+        sue += u * e;
+    }
+    const double spread = n * suu - su * su;
+    // At similar distances, the lateral offset cannot be separated from the azimuth
+    // offset.
+    if (n < 16 || spread < 1e-4 * n * n) return;
+    const double left = (n * sue - su * se) / spread;
+    phase.left_m += left;
+    phase.phase_rad += (se - left * su) / n;
+}
+
+TickGridPhase fit_azimuth_phase_of_beam(const BeamPolarPoints& polar, double encoder_tick_rad) {
+    TickGridPhase best;
+    const std::size_t stride = std::max<std::size_t>(polar.azimuth_rad.size() / 500, 1);
+    for (int mm = -60; mm <= 60; mm += 2) {
+        const std::complex<double> mean =
+            compute_mean_encoder_tick_phase(polar, encoder_tick_rad, mm * 1e-3, stride);
+        const double gain = std::abs(mean) - best.concentration;
+        // searches the lateral offset from -60 to 60 mm
+        if (mm == -60 || gain > 0.0)
+            best = {mm * 1e-3, std::arg(mean) * encoder_tick_rad / (2.0 * kPi), std::abs(mean)};
+    }
+    const std::complex<double> none = compute_mean_encoder_tick_phase(polar, encoder_tick_rad, 0.0, stride);
+    if (std::abs(none) > best.concentration - 0.02)
+        best = {0.0, std::arg(none) * encoder_tick_rad / (2.0 * kPi), std::abs(none)};
+    if (best.left_m != 0.0) refine_phase_by_least_squares(best, polar, encoder_tick_rad);
+    return best;
+}
+
+struct TickGridPhasesByRing {
+    std::array<TickGridPhase, kRings> ring;
+    double concentration = 0.0;  ///< mean over the points
+};
+
+TickGridPhasesByRing fit_encoder_tick_phase_of_each_ring(
+    const std::array<BeamPolarPoints, kRings>& polar_rings, double encoder_tick_rad) {
+    TickGridPhasesByRing phases;
+    parallel_for(kRings, [&](int k) {
+        const std::size_t at = std::size_t(k);
+        phases.ring[at] = fit_azimuth_phase_of_beam(polar_rings[at], encoder_tick_rad);
+    });
+    double n = 0;
+    for (std::size_t k = 0; k < kRings; ++k) {
+        n += double(polar_rings[k].azimuth_rad.size());
+        phases.concentration += phases.ring[k].concentration * double(polar_rings[k].azimuth_rad.size());
+    }
+    phases.concentration /= std::max(n, 1.0);
+    return phases;
+}
+
+/// Uses the mean azimuth step within a beam. Ignores steps longer than 1.5 medians, which
+/// contain dropped rays.
+int estimate_firings_per_revolution(const std::vector<const ScanWithRings*>& scans) {
+    std::vector<double> steps;
+    for (const ScanWithRings* scan : scans)
+        for (std::size_t i = 1; i < scan->points.size(); ++i) {
+            const glm::dvec4 a(scan->points[i - 1]), b(scan->points[i]);
+            const double step = std::atan2(a.x * b.y - a.y * b.x, a.x * b.x + a.y * b.y);
+            if (scan->ring[i] == scan->ring[i - 1] && step > 1e-5) steps.push_back(step);
+        }
+    if (steps.empty()) return 1;
+    const double longest = 1.5 * compute_median(steps);
+    double sum = 0.0, n = 0.0;
+    for (const double s : steps)
+        if (s < longest) {
+            sum += s;
+            n += 1.0;
+        }
+    return std::max(int(std::lround(2.0 * kPi * n / sum)), 1);
+}
+
+using EncoderTicksByBeam = std::vector<std::vector<int>>;
+
+EncoderTicksByBeam compute_encoder_ticks_per_beam(const ScanWithRings& scan,
+                                                  const BeamFiringGrid& firing_grid) {
+    EncoderTicksByBeam ticks(kRings);
+    std::vector<BeamRayGenerator> beams;
+    for (std::size_t k = 0; k < kRings; ++k)
+        beams.emplace_back(
+            Beam{.azimuth_offset_rad = firing_grid.offset_rad[k], .origin_left_m = firing_grid.left_m[k]});
+    for (std::size_t i = 0; i < scan.points.size(); ++i) {
+        const std::size_t k = scan.ring[i];
+        ticks[k].push_back(firing_grid.head.find_nearest_encoder_tick(
+            beams[k].compute_head_azimuth(glm::dvec3(scan.points[i]))));
+    }
+    return ticks;
+}
+
+/// Returns [scans][ticks] flags of ticks with returns of at least `min_beams` beams.
+/// @param tick_shift_of_each_beam  subtracted from the ticks of the beam
+std::vector<std::vector<char>> flag_ticks_with_returns_of_enough_beams(
+    const std::vector<EncoderTicksByBeam>& ticks_of_scans, const std::vector<int>& tick_shift_of_each_beam,
+    int n_ticks, int min_beams) {
+    std::vector<std::vector<char>> pattern;
+    for (const EncoderTicksByBeam& scan : ticks_of_scans) {
+        std::vector<int> count(static_cast<std::size_t>(n_ticks));
+        for (std::size_t k = 0; k < kRings; ++k)
+            for (const int t : scan[k])
+                ++count[std::size_t(((t - tick_shift_of_each_beam[k]) % n_ticks + n_ticks) % n_ticks)];
+        std::vector<char>& yes = pattern.emplace_back(std::size_t(n_ticks));
+        for (std::size_t t = 0; t < count.size(); ++t) yes[t] = count[t] >= min_beams;
+    }
+    return pattern;
+}
+
+/// The argument is at most one turn outside of [0, n_ticks).
+int wrap_encoder_tick(int tick, int n_ticks) {
+    if (tick < 0) return tick + n_ticks;
+    return tick >= n_ticks ? tick - n_ticks : tick;
+}
+
+/// Returns the offset of a beam that moves most returns to ticks with returns of other
+/// beams, or 0 if no offset is clearly better.
+/// @param is_tick_fired  [scans][ticks]
+int find_encoder_tick_offset_of_ring(const std::vector<EncoderTicksByBeam>& ticks_of_scans, std::size_t ring,
+                                     const std::vector<std::vector<char>>& is_tick_fired, int n_ticks,
+                                     int max_shift) {
+    std::size_t n = 0;
+    for (const EncoderTicksByBeam& scan : ticks_of_scans) n += scan[ring].size();
+    std::size_t most = 0, at_zero = 0;
+    int best = 0;
+    for (int i = 0; i <= 2 * max_shift; ++i) {
+        const int shift = i % 2 == 0 ? i / 2 : -(i + 1) / 2;
+        std::size_t hits = 0;
+        for (std::size_t s = 0; s < ticks_of_scans.size(); ++s)
+            for (const int t : ticks_of_scans[s][ring]) {
+                const int moved = wrap_encoder_tick(t - shift, n_ticks);
+                hits += std::size_t(is_tick_fired[s][std::size_t(moved)]);
+            }
+        if (i == 0) at_zero = hits;
+        if (hits > most) {
+            most = hits;
+            best = shift;
+        }
+    }
+    return most > at_zero + n / 100 ? best : 0;
+}
+
+std::vector<int> find_tick_shift_of_each_ring(const std::vector<EncoderTicksByBeam>& ticks_of_scans,
+                                              int n_ticks) {
+    const int reach = std::min(int(kMaxOffset_rad / (2.0 * kPi) * n_ticks), n_ticks / 2 - 1);
+    std::size_t fullest = 0;
+    for (std::size_t k = 1; k < kRings; ++k)
+        if (ticks_of_scans[0][k].size() > ticks_of_scans[0][fullest].size()) fullest = k;
+    std::vector<EncoderTicksByBeam> reference = ticks_of_scans;
+    for (EncoderTicksByBeam& scan : reference)
+        for (std::size_t k = 0; k < kRings; ++k)
+            if (k != fullest) scan[k].clear();
+    std::vector<int> shift(kRings, 0);
+    auto pattern = flag_ticks_with_returns_of_enough_beams(reference, shift, n_ticks, 1);
+    // Pass 1 aligns all beams with the beam that has the most points, pass 2 with the
+    // ticks that have returns of kMinLasers beams.
+    for (int pass = 0; pass < 2; ++pass) {
+        parallel_for(kRings, [&](int k) {
+            shift[std::size_t(k)] =
+                find_encoder_tick_offset_of_ring(ticks_of_scans, std::size_t(k), pattern, n_ticks, reach);
+        });
+        pattern = flag_ticks_with_returns_of_enough_beams(ticks_of_scans, shift, n_ticks, kMinLasers);
+    }
+    return shift;
+}
+
+}  // namespace
+
+std::vector<Beam> BeamFiringGrid::make_beams_with_fitted_elevations(const BeamCones& cones) const {
+    std::vector<Beam> beams(kRings);
+    for (std::size_t k = 0; k < kRings; ++k) {
+        const double elevation = std::atan(cones[k].tan_el);
+        beams[k] = {elevation, offset_rad[k], 0.0, cones[k].z0_m * std::cos(elevation), left_m[k]};
+    }
+    return beams;
+}
+
+BeamFiringGrid fit_beam_firing_grid(const std::vector<const ScanWithRings*>& scans) {
+    // minimum concentration of azimuths at encoder ticks
+    constexpr double kMinConcentration = 0.8;
+    const std::array<BeamPolarPoints, kRings> polar = convert_far_points_to_polar_by_ring(scans);
+    BeamFiringGrid lattice;
+    lattice.head.n_ticks = kEncoderTicks;
+    TickGridPhasesByRing phases = fit_encoder_tick_phase_of_each_ring(polar, 2.0 * kPi / kEncoderTicks);
+    if (phases.concentration < kMinConcentration) {
+        lattice.head.n_ticks = estimate_firings_per_revolution(scans);
+        lattice.every_tick = true;
+        phases = fit_encoder_tick_phase_of_each_ring(polar, 2.0 * kPi / lattice.head.n_ticks);
+    }
+    if (phases.concentration < kMinConcentration) return lattice;
+
+    for (std::size_t k = 0; k < kRings; ++k) {
+        lattice.left_m[k] = phases.ring[k].left_m;
+        lattice.offset_rad[k] = phases.ring[k].phase_rad;
+    }
+    if (!lattice.every_tick) {
+        std::vector<EncoderTicksByBeam> ticks;
+        for (const ScanWithRings* scan : scans)
+            ticks.push_back(compute_encoder_ticks_per_beam(*scan, lattice));
+        const std::vector<int> shift = find_tick_shift_of_each_ring(ticks, lattice.head.n_ticks);
+        for (std::size_t k = 0; k < kRings; ++k)
+            lattice.offset_rad[k] += shift[k] * lattice.head.compute_azimuth_per_tick_rad();
+    }
+    // The head faces the mean direction of the beams.
+    const double mean_rad =
+        std::accumulate(lattice.offset_rad.begin(), lattice.offset_rad.end(), 0.0) / kRings;
+    for (double& offset_rad : lattice.offset_rad) offset_rad -= mean_rad;
+    lattice.head.zero_rad += mean_rad;
+    return lattice;
+}
+
+std::vector<int> find_fired_encoder_ticks(const ScanWithRings& scan, const BeamFiringGrid& firing_grid) {
+    const auto pattern = flag_ticks_with_returns_of_enough_beams(
+        {compute_encoder_ticks_per_beam(scan, firing_grid)}, std::vector<int>(kRings, 0),
+        firing_grid.head.n_ticks, kMinLasers);
+    std::vector<int> firings;
+    for (int t = 0; t < firing_grid.head.n_ticks; ++t)
+        if (firing_grid.every_tick || pattern[0][std::size_t(t)]) firings.push_back(t);
+    std::sort(firings.begin(), firings.end(), [&](int first, int second) {
+        return firing_grid.head.compute_azimuth_of_encoder_tick_rad(first) >
+               firing_grid.head.compute_azimuth_of_encoder_tick_rad(second);
+    });
+    return firings;
+}
+
+}  // namespace relidar::kitti

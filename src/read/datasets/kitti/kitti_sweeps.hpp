@@ -1,0 +1,23 @@
+// SPDX-License-Identifier: Apache-2.0
+// Reads the sweeps of an HDL-64E in the format of all KITTI datasets. A file contains the
+// returns ring by ring. It does not contain dropped rays.
+#pragma once
+
+#include <filesystem>
+
+#include <relidar/read/dataset.hpp>
+#include <relidar/log/sequence.hpp>
+
+namespace relidar::kitti {
+
+/// Assigns the points of each scan to the rays that were fired. Sets the beams and
+/// columns of the LiDAR.
+/// @param sequence  log with frame numbers, and with the period and range of its LiDAR
+/// @param file_name_digits  for example 10 in 0000000042.bin
+/// @param label_folder  empty if the points have no labels
+/// @throws DataError with the file
+void read_hdl64_sweeps(LidarSequence& sequence, const std::filesystem::path& scan_folder,
+                       int file_name_digits, const DatasetOptions& options,
+                       const std::filesystem::path& label_folder = {});
+
+}  // namespace relidar::kitti

@@ -1,0 +1,202 @@
+// SPDX-License-Identifier: Apache-2.0
+// Reads MulRan. A file contains one revolution with 64 beams x 1024 columns. Missing
+// returns are stored as zeros, so the index of a point gives its beam and its time. The
+// points are stored column by column or beam by beam; the reader detects the order. The x
+// axis of the LiDAR points backward, so the reader rotates its frame by 180 degrees.
+#include "read/readers.hpp"
+
+#include <cmath>
+
+#include <fmt/format.h>
+
+#include <relidar/base/error.hpp>
+#include <relidar/read/clouds.hpp>
+#include "base/fail.hpp"
+#include "base/files.hpp"
+#include "read/scans/stamped_log.hpp"
+#include "read/scans/sweep_poses.hpp"
+
+namespace relidar {
+namespace {
+
+namespace fs = std::filesystem;
+
+constexpr std::size_t kBeams = 64, kColumns = 1024;
+constexpr double kRevolution_s = 0.1;
+constexpr double kNanosecond = 1e-9;
+// maximum gap for interpolation; the dataset has 100 poses per second
+constexpr double kMostGap_s = 0.5;
+// A beam starts a centimetre from the spin axis, which changes the elevation of nearer
+// points.
+constexpr double kLeastRange_m = 2.0;
+// With a larger deviation within a beam, the points are not sorted by column or by beam.
+constexpr double kMostSpread_rad = kPi / 180.0;
+// With a smaller mean forward direction, the poses are wrong, and the user gets a note.
+constexpr double kForward = 0.9;
+
+/// published pose of the LiDAR on the vehicle: metres; roll, pitch and yaw in degrees
+constexpr double kLidarPosition_m[3] = {1.7042, -0.021, 1.8047}, kAngles_deg[3] = {0.0001, 0.0003, 179.6654};
+
+enum class MulranPointOrder { by_column, by_beam };
+
+std::size_t get_beam_of_point(std::size_t point_index, MulranPointOrder point_order) {
+    return point_order == MulranPointOrder::by_column ? point_index % kBeams : point_index / kColumns;
+}
+std::size_t get_column_of_point(std::size_t point_index, MulranPointOrder point_order) {
+    return point_order == MulranPointOrder::by_column ? point_index / kBeams : point_index % kColumns;
+}
+
+/// Standard deviation of the elevations within a beam. It is small if the order is right,
+/// and infinite without points.
+double compute_beam_elevation_spread_rad(const read::PointTable& table, MulranPointOrder point_order) {
+    using enum read::PointAttribute;
+    const read::PointFieldView &xs = *table.find_field(x), &ys = *table.find_field(y),
+                                 &zs = *table.find_field(z);
+    struct Sums {
+        double n = 0.0, e = 0.0, ee = 0.0;
+    };
+    std::vector<Sums> of_beam(kBeams);
+    for (std::size_t i = 0; i < table.n; ++i) {
+        const glm::dvec3 p(xs[i], ys[i], zs[i]);
+        if (!(std::hypot(p.x, p.y, p.z) >= kLeastRange_m)) continue;
+        const double e = std::atan2(p.z, std::hypot(p.x, p.y));
+        Sums& sums = of_beam[get_beam_of_point(i, point_order)];
+        sums.n += 1.0;
+        sums.e += e;
+        sums.ee += e * e;
+    }
+    double n = 0.0, squares = 0.0;
+    for (const Sums& sums : of_beam)
+        if (sums.n > 0.0) {
+            n += sums.n;
+            squares += sums.ee - sums.e * sums.e / sums.n;
+        }
+    return n > 0.0 ? std::sqrt(std::max(squares, 0.0) / n) : INFINITY;
+}
+
+void require_points_of_all_rays(const read::PointTable& table, const std::string& error_location) {
+    if (table.n != kBeams * kColumns)
+        fail("{} has {} points, expected {} x {}, with zeros for rays without return", error_location,
+             table.n, kBeams, kColumns);
+}
+
+/// Uses the first readable scan.
+MulranPointOrder detect_point_order(const std::vector<fs::path>& scan_files) {
+    for (const fs::path& file : scan_files) {
+        read::PointTable table;
+        try {
+            table = read::read_point_file(file, {});
+            require_points_of_all_rays(table, file.string());
+        } catch (const DataError&) {
+            continue;  // the error is reported when the scan is read
+        }
+        const double by_column = compute_beam_elevation_spread_rad(table, MulranPointOrder::by_column),
+                     by_beam = compute_beam_elevation_spread_rad(table, MulranPointOrder::by_beam);
+        if (!(std::min(by_column, by_beam) <= kMostSpread_rad))
+            fail(
+                "{}: the points of a beam differ in elevation by {:.1f} degrees, expected less than {:.0f}; "
+                "the points must be sorted by column or by beam",
+                file.string(), std::min(by_column, by_beam) * 180.0 / kPi, kMostSpread_rad * 180.0 / kPi);
+        return by_column <= by_beam ? MulranPointOrder::by_column : MulranPointOrder::by_beam;
+    }
+    return MulranPointOrder::by_column;
+}
+
+/// The stamp of a file is the middle of the revolution.
+void add_ring_and_time_fields(read::PointTable& table, MulranPointOrder point_order,
+                              const std::string& error_location) {
+    require_points_of_all_rays(table, error_location);
+    std::vector<std::uint16_t> ring(table.n);
+    std::vector<double> time(table.n);
+    for (std::size_t i = 0; i < table.n; ++i) {
+        ring[i] = std::uint16_t(get_beam_of_point(i, point_order));
+        time[i] = kRevolution_s * (double(get_column_of_point(i, point_order)) / double(kColumns) - 0.5);
+    }
+    table.add_value_field("ring", read::ScalarType::u2, std::move(ring), error_location);
+    table.add_value_field("time", read::ScalarType::f8, std::move(time), error_location);
+}
+
+PoseTrack read_mulran_poses(const fs::path& pose_file, const read::StampedLog& log, Notes& notes) {
+    PoseTrack track;
+    for (const read::StampedPoseRow& row : read::read_timestamped_number_rows(pose_file, 12))
+        track.append(log.convert_stamp_to_seconds(row.stamp),
+                     check_rotation_and_make_pose(row.values, row.where));
+    const glm::dvec3 driven = read::estimate_driving_direction(track).mean;
+    if (driven != glm::dvec3(0.0) && driven.x < kForward)
+        notes.push_back(fmt::format(
+            "poses: on average, the vehicle drives in the direction ({:.2f}, {:.2f}, {:.2f}) of the vehicle "
+            "frame, expected nearly (1, 0, 0); use dataset.poses=none to estimate the poses from the scans",
+            driven.x, driven.y, driven.z));
+    return track;
+}
+
+Pose compute_vehicle_from_mulran_lidar() {
+    const auto rad = [](double degrees) { return degrees * kPi / 180.0; };
+    const Pose base_from_ouster{make_rotation(rad(kAngles_deg[2]), rad(kAngles_deg[1]), rad(kAngles_deg[0])),
+                                {kLidarPosition_m[0], kLidarPosition_m[1], kLidarPosition_m[2]}};
+    return base_from_ouster * Pose{make_rotation(kPi, 0.0, 0.0), {}};
+}
+
+read::PointFileFormat make_mulran_point_format(LidarSequence& sequence,
+                                                  const std::vector<fs::path>& scan_files) {
+    read::PointFileFormat format;
+    const read::IntensityScale brightness = read::estimate_dataset_intensity_scale(scan_files, {});
+    format.units.intensity_max = brightness.max;
+    if (!brightness.about.empty()) sequence.notes.push_back(brightness.about);
+    format.sweep_duration_s = kRevolution_s;
+    format.turned_rad = kPi;
+    const MulranPointOrder order = detect_point_order(scan_files);
+    sequence.notes.push_back(
+        "the points have no times; relidar computes the times from the order of the points in the file; the "
+        "stamp of a file is the middle of its sweep");
+    format.complete = [order](read::PointTable& table, const std::string& location) {
+        add_ring_and_time_fields(table, order, location);
+    };
+    return format;
+}
+
+}  // namespace
+
+LidarSequence load_mulran_dataset(const fs::path& log_folder, const DatasetOptions& options) {
+    require_existing_folder(log_folder,
+                            "a MulRan sequence (Ouster/ or sensor_data/Ouster/, global_pose.csv)");
+    const fs::path folder = fs::canonical(log_folder);
+    LidarSequence sequence;
+    sequence.name = "MulRan " + folder.filename().string();
+    sequence.source = log_folder.string();
+    sequence.notes = {"this log has no labels"};
+    sequence.conventions =
+        "Frames of vehicle and LiDAR: x forward, y left, z up, in metres (in MulRan's files, the LiDAR's x "
+        "axis points backward). Times are seconds after the first scan. The time of a frame is the middle of "
+        "its sweep. Points are not motion-compensated. The world frame is that of global_pose.csv.";
+    fs::path scans_folder = folder / "Ouster";
+    if (!does_path_exist(scans_folder)) scans_folder = folder / "sensor_data/Ouster";
+    if (!does_path_exist(scans_folder))
+        fail(
+            "{} contains neither Ouster/ nor sensor_data/Ouster/, expected the scans of the LiDAR in one of "
+            "them",
+            folder.string());
+    read::StampedLog log{kNanosecond, read::list_timestamped_scan_files(scans_folder),
+                            {},          folder / "global_pose.csv",
+                            kMostGap_s,  0.5 * kRevolution_s};
+    read::require_pose_file_or_poses_option(log.poses_file, options);
+    if (options.poses_file.empty())
+        log.world_from_vehicle = read_mulran_poses(log.poses_file, log, sequence.notes);
+    Lidar& lidar = sequence.lidars[0];
+    lidar.vehicle_from_sensor = compute_vehicle_from_mulran_lidar();
+    lidar.sensor.name = "OS1-64 fitted to " + sequence.name;
+    lidar.sensor.max_range_m = options.max_range_m;
+    const std::vector<fs::path> files = read::add_frames_and_get_scan_files(sequence, log, options);
+    read::read_scans_of_frames(sequence, files, make_mulran_point_format(sequence, files), options);
+    if (options.poses_file.empty()) {
+        const PoseTrack track =
+            add_offset_to_track_positions(log.world_from_vehicle, -sequence.world_offset_m);
+        // Scans without a pose were skipped.
+        const auto pose_at = [&](double t_s) { return std::optional(track.interpolate_pose(t_s)); };
+        if (std::string note = read::correct_rays_for_vehicle_motion(sequence, pose_at); !note.empty())
+            sequence.notes.push_back(std::move(note));
+    }
+    return sequence;
+}
+
+}  // namespace relidar

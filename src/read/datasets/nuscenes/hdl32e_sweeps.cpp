@@ -1,0 +1,162 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "read/datasets/nuscenes/hdl32e_sweeps.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <cstring>
+
+#include <fmt/format.h>
+
+#include <relidar/base/error.hpp>
+#include <relidar/read/clouds.hpp>
+#include "base/fail.hpp"
+#include "base/files.hpp"
+#include "base/progress_blocks.hpp"
+#include "read/scans/arrange_firings.hpp"
+#include "read/scans/broken_scans.hpp"
+
+namespace relidar::nuscenes {
+namespace {
+
+namespace fs = std::filesystem;
+
+constexpr std::size_t kBeams = 32, kPointBytes = 20;
+constexpr double kPeriod_s = 0.05;
+// Points nearer to the LiDAR than this are rays without a return.
+constexpr double kNoReturn_m = 1.0;
+constexpr double kFarthestOfSweep_m = 1e4;
+constexpr std::size_t kMostColumnsOfSweep = 8192;
+
+struct SweepWithColumns {
+    LidarPoints points;
+    SweepFirings sweep;
+};
+
+/// The dataset stores rays without a return as points at the LiDAR, which the motion
+/// compensation has moved a little.
+/// @param points  in the frame of the LiDAR at the time of each point
+void remove_points_without_return(LidarPoints& points, std::vector<int>& column_of_point) {
+    std::size_t n = 0;
+    for (std::size_t i = 0; i < points.size(); ++i) {
+        if (double(glm::length(points.position_m[i])) < kNoReturn_m) continue;
+        points.position_m[n] = points.position_m[i];
+        points.intensity[n] = points.intensity[i];
+        points.ring[n] = points.ring[i];
+        points.time_offset_s[n] = points.time_offset_s[i];
+        if (!points.classes.empty()) points.classes[n] = points.classes[i];
+        column_of_point[n++] = column_of_point[i];
+    }
+    points.position_m.resize(n);
+    points.intensity.resize(n);
+    points.ring.resize(n);
+    points.time_offset_s.resize(n);
+    column_of_point.resize(n);
+    if (!points.classes.empty()) points.classes.resize(n);
+}
+
+std::string read_point_categories(const fs::path& file, std::size_t n_points) {
+    std::string categories = read_file(file);
+    if (categories.size() != n_points)
+        fail(
+            "{} has {} bytes, expected one byte for each of the {} points of the sweep, with the category of "
+            "the point",
+            file.string(), categories.size(), n_points);
+    return categories;
+}
+
+SweepWithColumns read_hdl32e_sweep(const SweepFiles& sweep_files,
+                                   const std::array<SurfaceClass, 256>& class_of_category,
+                                   const SpinningSensor& sensor, const PoseTrack& world_from_sensor,
+                                   double sweep_time_s) {
+    const fs::path& file = sweep_files.points;
+    const std::string bytes = read_file(file);
+    if (bytes.empty() || bytes.size() % (kBeams * kPointBytes) != 0 ||
+        bytes.size() / (kBeams * kPointBytes) > kMostColumnsOfSweep)
+        fail(
+            "{} has {} bytes, expected a multiple of {} bytes (a column of {} points with {} bytes each), "
+            "and 1 to {} columns",
+            file.string(), bytes.size(), kBeams * kPointBytes, kBeams, kPointBytes, kMostColumnsOfSweep);
+    const std::size_t n = bytes.size() / kPointBytes, columns = n / kBeams;
+    const std::string categories =
+        sweep_files.categories.empty() ? "" : read_point_categories(sweep_files.categories, n);
+    SweepWithColumns read;
+    std::vector<int> numbers;
+    for (std::size_t i = 0; i < n; ++i) {
+        float v[5];  // x to the right, y forward, z up, intensity, ring
+        std::memcpy(v, bytes.data() + i * kPointBytes, kPointBytes);
+        const double range_m = std::hypot(double(v[0]), double(v[1]), double(v[2]));
+        if (!(range_m < kFarthestOfSweep_m) || !std::isfinite(v[3]))
+            fail(
+                "{}: point {} is ({}, {}, {}) with intensity {}, expected coordinates in metres of at most "
+                "{}",
+                file.string(), i, v[0], v[1], v[2], v[3], kFarthestOfSweep_m);
+        if (!(v[4] >= 0.0f && v[4] < float(kBeams)) || v[4] != std::floor(v[4]))
+            fail("{}: point {} has ring {}, expected 0 to {}", file.string(), i, v[4], kBeams - 1);
+        if (range_m == 0.0) continue;
+        const std::size_t column = i / kBeams;
+        read.points.position_m.emplace_back(v[1], -v[0], v[2]);
+        read.points.intensity.push_back(v[3] / 255.0f);
+        read.points.ring.push_back(std::uint16_t(kBeams - 1 - std::size_t(v[4])));
+        read.points.time_offset_s.push_back(float(-kPeriod_s * (1.0 - double(column) / double(columns))));
+        if (!categories.empty())
+            read.points.classes.push_back(class_of_category[static_cast<unsigned char>(categories[i])]);
+        numbers.push_back(int(column));
+    }
+    undo_motion_compensation(read.points, world_from_sensor, sweep_time_s);
+    remove_points_without_return(read.points, numbers);
+    if (read.points.size() == 0)
+        fail(
+            "{} has no points at a distance of {} m or more, expected at least one; nearer points are read "
+            "as rays without a return",
+            file.string(), kNoReturn_m);
+    read.sweep =
+        estimate_sweep_and_assign_firings(read.points, numbers, sensor, -2.0 * kPi / double(columns));
+    return read;
+}
+
+}  // namespace
+
+Lidar make_hdl32e_lidar(const Pose& ego_from_lidar) {
+    SpinningSensor sensor;
+    sensor.name = "HDL-32E";
+    sensor.period_s = kPeriod_s;
+    for (std::size_t row = 0; row < kBeams; ++row)
+        // Nominal elevations of the HDL-32E: +10.67 to -30.67 degrees.
+        sensor.beams.push_back({.elevation_rad = (32.0 - 4.0 * double(row)) / 3.0 * kPi / 180.0});
+    const Pose theirs_from_ours{glm::angleAxis(kPi / 2.0, glm::dvec3(0, 0, 1)), glm::dvec3(0.0)};
+    return {"", sensor, ego_from_lidar * theirs_from_ours};
+}
+
+void read_hdl32e_sweeps(LidarSequence& sequence, const std::vector<SweepFiles>& sweep_files,
+                        const std::array<SurfaceClass, 256>& class_of_category,
+                        const PoseTrack& vehicle_track, const DatasetOptions& options) {
+    ScanErrorCollector broken(options.skip_broken);
+    std::vector<PoseTrack> ways;  // [lidars] poses of each LiDAR over time
+    for (const Lidar& lidar : sequence.lidars)
+        ways.push_back(compute_mounted_track(vehicle_track, lidar.vehicle_from_sensor));
+    std::vector<SweepWithColumns> sweeps(sweep_files.size());
+    parallel_for_with_progress(sweeps.size(), options.progress, "reading sweeps", [&](std::size_t at) {
+        const LidarFrame& frame = sequence.frames[at];
+        broken.call_and_record_scan_errors(at, [&] {
+            sweeps[at] =
+                read_hdl32e_sweep(sweep_files[at], class_of_category, sequence.get_lidar(frame).sensor,
+                                  ways[std::size_t(frame.lidar)], frame.time_s);
+        });
+    });
+    for (std::size_t at = 0; at < sweeps.size(); ++at) {
+        SpinningSensor& sensor = sequence.lidars[std::size_t(sequence.frames[at].lidar)].sensor;
+        sensor.columns = std::max(sensor.columns, int(sweeps[at].sweep.firings.size()));
+        sensor.first_azimuth_rad = kPi - kPi / sensor.columns;
+    }
+    parallel_for_with_progress(sweeps.size(), options.progress, "assigning points to the fired rays",
+                               [&](std::size_t at) {
+                                   if (broken.is_scan_broken(at)) return;
+                                   LidarFrame& frame = sequence.frames[at];
+                                   frame.scan = assign_points_to_rays_of_spinning_scan(
+                                       sweeps[at].points, sequence.get_lidar(frame).sensor, sweeps[at].sweep);
+                                   sweeps[at] = {};
+                               });
+    broken.remove_broken_frames(sequence);
+}
+
+}  // namespace relidar::nuscenes

@@ -1,0 +1,33 @@
+// SPDX-License-Identifier: Apache-2.0
+// Reads the sweeps of nuScenes. A file contains one revolution of an HDL-32E, column by
+// column in the order of time. The LiDAR rotates clockwise. The dataset has moved all
+// points to the end of the revolution (motion compensation).
+#pragma once
+
+#include <array>
+#include <filesystem>
+#include <vector>
+
+#include <relidar/read/dataset.hpp>
+
+namespace relidar::nuscenes {
+
+/// Rotates the pose of the HDL-32E by 90 degrees, because x points right in nuScenes.
+Lidar make_hdl32e_lidar(const Pose& ego_from_lidar);
+
+struct SweepFiles {
+    std::filesystem::path points;
+    /// category index of each point, one byte per point; empty without labels
+    std::filesystem::path categories;
+};
+
+/// Also sets the sensor properties that follow from the scans.
+/// @param sweep_files  [frames]
+/// @param class_of_category  class of each category index
+/// @param vehicle_track  used to undo the motion compensation
+/// @throws DataError that names the file and the point
+void read_hdl32e_sweeps(LidarSequence& sequence, const std::vector<SweepFiles>& sweep_files,
+                        const std::array<SurfaceClass, 256>& class_of_category,
+                        const PoseTrack& vehicle_track, const DatasetOptions& options);
+
+}  // namespace relidar::nuscenes

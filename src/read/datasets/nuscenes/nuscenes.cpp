@@ -1,0 +1,342 @@
+// SPDX-License-Identifier: Apache-2.0
+// Reads nuScenes and other datasets with the same tables. These datasets store points in
+// different formats. The extension of the point files shows the format.
+#include "read/readers.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+
+#include <relidar/base/error.hpp>
+#include <relidar/read/clouds.hpp>
+#include <relidar/log/log_time.hpp>
+#include "base/fail.hpp"
+#include "base/files.hpp"
+#include "read/scans/folder_head.hpp"
+#include "read/kitti/log_files.hpp"
+#include "log/sequence/match_sweeps.hpp"
+#include "read/datasets/nuscenes/hdl32e_sweeps.hpp"
+#include "read/datasets/nuscenes/nuscenes_tables.hpp"
+
+namespace relidar {
+namespace {
+
+namespace fs = std::filesystem;
+using namespace nuscenes;
+
+// Sweeps of several LiDARs form a frame if their times differ by at most this share of a
+// sweep period.
+constexpr double kBeside = 0.6;
+// Boxes exist this share of a sweep period beyond their labels, whose times differ
+// slightly.
+constexpr double kBeyondLabels = 0.5;
+constexpr double kMostIntensity = 255.0;
+// LiDARs rotate ten times per second, although the dataset has only five sweeps per
+// second.
+constexpr double kLyftRevolution_s = 0.1;
+// Without point times, all LiDARs of a frame use the time of the first. Larger
+// differences are noted.
+constexpr double kStampsApart_s = 1e-3;
+
+/// A format with the tables of nuScenes. Except for T4, the extension of LiDAR files
+/// identifies it.
+struct NuscenesVariant {
+    const char* ending;
+    const char* dataset;
+    const char* conventions;  ///< conventions of the dataset, except units and vehicle axes
+    /// True if points were moved to the end of the revolution. A file then contains a
+    /// revolution of an HDL-32E, column by column.
+    bool is_compensated;
+    bool has_times;  ///< true: points have times
+};
+constexpr NuscenesVariant kFormats[] = {
+    {".pcd.bin", "nuScenes",
+     "LiDAR frame: x forward, y left, z up (in nuScenes' files, x points right and y forward). The time of a "
+     "frame is the end of its sweep. The world frame is that of the map. The motion compensation of the "
+     "points is removed.",
+     true, false},
+    {".pcd", "TruckScenes",
+     "Each LiDAR has its own coordinate system. Points are not motion-compensated. The time of a frame is "
+     "the stamp of the first LiDAR's sweep. World coordinates: UTM 32U.",
+     false, true},
+    {".bin", "Lyft Level 5",
+     "Each LiDAR has its own coordinate system. Points are as in the files. The time of a frame is the stamp "
+     "of the first LiDAR's sweep. World coordinates are those of the map.",
+     false, false},
+};
+
+/// T4: points are in the vehicle frame. A file may contain the merged points of several
+/// LiDARs.
+constexpr NuscenesVariant kT4 = {".pcd.bin", "T4",
+                                 "Points are motion-compensated and in the frame of the vehicle. The time of "
+                                 "a frame is the stamp of its sweep. The world frame is that of the map.",
+                                 false, false};
+constexpr const char* kTablesOfT4 = "annotation";  // name of the folder that contains the tables
+
+struct SceneTablesLocation {
+    std::string name;
+    fs::path tables;
+};
+std::vector<SceneTablesLocation> list_scenes_of_dataset(const fs::path& dataset_folder) {
+    std::vector<SceneTablesLocation> scenes;
+    for (const fs::path& tables : list_folder_entries(dataset_folder)) {
+        if (!does_path_exist(tables / "scene.json")) continue;
+        for (const std::string& name : list_scene_names(tables)) scenes.push_back({name, tables});
+    }
+    if (scenes.empty())
+        fail("{} contains no scene, expected at least one in */scene.json", dataset_folder.string());
+    return scenes;
+}
+
+/// Accepts the name, the nuScenes number, or the first characters of one name only.
+SceneTablesLocation choose_scene(const std::vector<SceneTablesLocation>& scenes,
+                                 const std::string& requested_name) {
+    if (requested_name.empty()) return scenes[0];
+    const std::optional<int> number = parse_file_stem_as_number(requested_name);
+    const std::string named = number ? fmt::format("scene-{:04}", *number) : requested_name;
+    std::string names;
+    std::vector<const SceneTablesLocation*> begin_so;
+    for (const SceneTablesLocation& scene : scenes) {
+        if (scene.name == named) return scene;
+        if (scene.name.starts_with(requested_name) || scene.name.starts_with("scene-" + requested_name))
+            begin_so.push_back(&scene);
+        if (names.size() < 400) names += (names.empty() ? "" : ", ") + shorten_for_error_message(scene.name);
+    }
+    if (begin_so.size() == 1) return *begin_so[0];
+    fail<UsageError>("dataset.sequence '{}' {}, expected the name or the number of one of the {} scenes: {}",
+                     shorten_for_error_message(requested_name),
+                     begin_so.empty()
+                         ? "is not a scene of this dataset"
+                         : fmt::format("is the beginning of the names of {} scenes", begin_so.size()),
+                     scenes.size(), names);
+}
+
+/// Interpolates boxes between labelled keyframes.
+std::vector<BoxTrack> make_box_tracks_at_frame_times(const std::vector<BoxLabel>& labels,
+                                                     const std::vector<double>& frame_times_s,
+                                                     double max_extrapolation_s) {
+    std::vector<BoxTrack> boxes;
+    for (const BoxTrack& labelled : build_tracks(labels)) {
+        BoxTrack box{labelled.id, labelled.category, labelled.size_m, {}};
+        const PoseTrack& track = labelled.world_from_box;
+        for (const double time_s : frame_times_s)
+            if (time_s >= track.time_s.front() - max_extrapolation_s &&
+                time_s <= track.time_s.back() + max_extrapolation_s)
+                box.world_from_box.append(time_s, track.interpolate_pose(time_s));
+        if (!box.world_from_box.pose.empty()) boxes.push_back(std::move(box));
+    }
+    return boxes;
+}
+
+struct FrameSweepRecord {
+    int number = 0;         ///< number of the frame: index of the simultaneous sweep of the first LiDAR
+    std::size_t lidar = 0;  ///< index in SceneTables::lidars
+    const SweepRecord* record = nullptr;
+};
+
+class NuscenesLogLoader {
+public:
+    NuscenesLogLoader(const fs::path& folder, const DatasetOptions& options)
+        : folder_(folder),
+          options_(options),
+          chosen_(choose_scene(list_scenes_of_dataset(folder), options.sequence)),
+          scene_(read_scene_tables(chosen_.tables, chosen_.name)),
+          format_(chosen_.tables.filename() == kTablesOfT4
+                      ? kT4
+                      : find_variant_by_lidar_file_ending(scene_.lidars[0].sweeps[0].file)),
+          split_(get_lyft_split_prefix(chosen_.tables)) {
+        for (const SweepRecord& sweep : scene_.lidars[0].sweeps)
+            main_s_.push_back(scene_.to_seconds_since_first_sweep(sweep.time_us));
+        step_s_ = compute_median_interval_s(main_s_);
+    }
+
+    LidarSequence load_requested_scene() {
+        sequence_.name = fmt::format("{} {}", format_.dataset, scene_.name);
+        sequence_.source = folder_.string();
+        sequence_.conventions = fmt::format(
+            "Vehicle frame: x forward, y left, z up, in metres. Times are seconds after the first sweep of "
+            "the scene. Boxes are interpolated between keyframes. {}",
+            format_.conventions);
+        set_log_start(sequence_, 1000 * scene_.lidars[0].sweeps[0].time_us, "on the clock of the dataset");
+        select_requested_lidars();
+        select_sweeps_of_requested_frames();
+        for (const FrameSweepRecord& frame : frames_) {
+            const std::size_t k = std::size_t(frame.number);
+            const auto lidar = std::ranges::find(lidars_, frame.lidar) - lidars_.begin();
+            add_frame(sequence_, frame.number, main_s_[k], scene_.world_from_ego[k], int(lidar));
+        }
+        const PoseTrack vehicle_track = sequence_.world_from_vehicle;  // poses of the dataset
+        if (scene_.labels.empty()) add_note("this scene has no annotations, so it has no labels");
+        sequence_.boxes =
+            make_box_tracks_at_frame_times(scene_.labels, vehicle_track.time_s, kBeyondLabels * step_s_);
+        kitti::replace_vehicle_poses_from_file(sequence_, options_.poses_file);
+        move_world_origin_of_log(sequence_);
+        if (format_.is_compensated)
+            read_hdl32e_sweeps(sequence_, list_files_of_frames(), scene_.classes, vehicle_track, options_);
+        else read_scans_of_point_files();
+        return std::move(sequence_);
+    }
+
+private:
+    const fs::path& folder_;
+    const DatasetOptions& options_;
+    const SceneTablesLocation chosen_;
+    const SceneTables scene_;
+    const NuscenesVariant& format_;
+    /// "train_" if tables are in train_data and points in train_lidar (Lyft)
+    const std::string split_;
+    std::vector<double> main_s_;       ///< times in seconds of the sweeps of the first LiDAR
+    double step_s_ = 0.0;              ///< time between these sweeps
+    std::vector<std::size_t> lidars_;  ///< [sequence_.lidars] index in scene_.lidars
+    std::vector<FrameSweepRecord> frames_;
+    LidarSequence sequence_;
+
+    static const NuscenesVariant& find_variant_by_lidar_file_ending(const std::string& lidar_file) {
+        std::vector<std::string> endings;
+        for (const NuscenesVariant& format : kFormats) {
+            if (lidar_file.ends_with(format.ending)) return format;
+            endings.emplace_back(format.ending);
+        }
+        fail("sample_data.json, key 'filename': found the LiDAR file '{}', expected a name that ends in {}",
+             shorten_for_error_message(lidar_file), fmt::join(endings, ", "));
+    }
+
+    void add_note(std::string text) { sequence_.notes.push_back(std::move(text)); }
+    static std::string get_lyft_split_prefix(const fs::path& table_folder) {
+        const std::string name = table_folder.filename().string();
+        return name.ends_with("_data") ? name.substr(0, name.size() - 4) : "";
+    }
+    fs::path get_file_of_sweep(const SweepRecord& sweep) const {
+        const fs::path file = folder_ / sweep.file;
+        return split_.empty() || does_path_exist(file) ? file : folder_ / (split_ + sweep.file);
+    }
+
+    void select_requested_lidars() {
+        std::vector<std::string> channels, left_out;
+        for (const SceneLidar& lidar : scene_.lidars) channels.push_back(lidar.channel);
+        for (const std::string& name : options_.lidars)
+            if (std::ranges::find(channels, name) == channels.end())
+                fail<UsageError>(
+                    "dataset.lidars: the scene {1} has no LiDAR '{0}', expected one or more of: {2}",
+                    shorten_for_error_message(name), scene_.name, fmt::join(channels, ", "));
+        sequence_.lidars.clear();
+        for (std::size_t l = 0; l < channels.size(); ++l) {
+            if (!options_.lidars.empty() &&
+                std::ranges::find(options_.lidars, channels[l]) == options_.lidars.end()) {
+                left_out.push_back(channels[l]);
+                continue;
+            }
+            const Pose& mounted = scene_.lidars[l].ego_from_lidar;
+            Lidar lidar;
+            lidar.vehicle_from_sensor = mounted;
+            lidar.sensor.name = channels[l];
+            if (format_.is_compensated) lidar = make_hdl32e_lidar(mounted);
+            if (channels.size() > 1 || !options_.lidars.empty()) lidar.name = channels[l];
+            lidar.sensor.max_range_m = options_.max_range_m;
+            sequence_.lidars.push_back(std::move(lidar));
+            lidars_.push_back(l);
+        }
+        if (format_.is_compensated && lidars_.size() > 1)
+            fail(
+                "{} has {} LiDARs with {} files, but only one LiDAR of this format can be read; select it "
+                "with dataset.lidars",
+                scene_.name, lidars_.size(), format_.ending);
+        if (!left_out.empty())
+            add_note(fmt::format("these LiDARs of the log are not read: {}", fmt::join(left_out, ", ")));
+    }
+
+    /// Returns the sweeps of the selected LiDARs in the order of frame numbers.
+    std::vector<FrameSweepRecord> assign_frame_numbers_to_sweeps() {
+        std::vector<FrameSweepRecord> sweeps;
+        for (const std::size_t l : lidars_) {
+            const std::vector<SweepRecord>& records = scene_.lidars[l].sweeps;
+            std::vector<double> times_s;
+            for (const SweepRecord& record : records)
+                times_s.push_back(scene_.to_seconds_since_first_sweep(record.time_us));
+            const auto matches = find_nearest_other_sweep_per_sweep(main_s_, times_s, kBeside * step_s_);
+            std::size_t n_left = records.size();
+            double apart_s = 0.0;
+            for (std::size_t k = 0; k < matches.size(); ++k) {
+                if (!matches[k]) continue;
+                apart_s = std::max(apart_s, std::abs(times_s[*matches[k]] - main_s_[k]));
+                sweeps.push_back({int(k), l, &records[*matches[k]]});
+                --n_left;
+            }
+            if (!format_.has_times && apart_s > kStampsApart_s)
+                add_note(fmt::format(
+                    "{0}: its points have no times, so each of its sweeps gets the time of the nearest sweep "
+                    "of {2}; the stamps of two such sweeps differ by up to {1:.3f} s",
+                    scene_.lidars[l].channel, apart_s, scene_.lidars[0].channel));
+            if (n_left > 0)
+                add_note(fmt::format("{}: {} sweeps are skipped, because {} has no sweeps at similar times",
+                                     scene_.lidars[l].channel, n_left, scene_.lidars[0].channel));
+        }
+        std::ranges::stable_sort(sweeps, {}, &FrameSweepRecord::number);
+        return sweeps;
+    }
+
+    /// Selects only keyframes if only they have files, because sweeps/ was not unpacked.
+    void select_sweeps_of_requested_frames() {
+        const std::vector<FrameSweepRecord> sweeps = assign_frame_numbers_to_sweeps();
+        const auto is_between = [](const FrameSweepRecord& sweep) { return !sweep.record->is_keyframe; };
+        const auto is_no_file_between = [&](const FrameSweepRecord& sweep) {
+            return !is_between(sweep) || !does_path_exist(get_file_of_sweep(*sweep.record));
+        };
+        const bool keyframes_alone =
+            std::ranges::any_of(sweeps, is_between) && std::ranges::all_of(sweeps, is_no_file_between);
+        const FrameRange& range = options_.frames;
+        for (const FrameSweepRecord& sweep : sweeps)
+            if (range.contains(sweep.number) && !(keyframes_alone && is_between(sweep)))
+                frames_.push_back(sweep);
+        if (frames_.empty())
+            fail<UsageError>("frames {}:{} select no {} of {}, expected numbers in [0, {}]", range.begin,
+                             range.end, keyframes_alone ? "keyframe" : "sweep", scene_.name,
+                             main_s_.size() - 1);
+        if (keyframes_alone)
+            add_note("the files between keyframes are missing, so only the keyframes of the scene are read");
+    }
+
+    std::vector<SweepFiles> list_files_of_frames() {
+        std::vector<SweepFiles> files;
+        std::size_t n_missing = 0;
+        for (const FrameSweepRecord& frame : frames_) {
+            const std::string& categories = frame.record->categories_file;
+            const bool has_categories = !categories.empty() && does_path_exist(folder_ / categories);
+            n_missing += !categories.empty() && !has_categories;
+            files.push_back({get_file_of_sweep(*frame.record), has_categories ? folder_ / categories : ""});
+        }
+        if (n_missing > 0)
+            add_note(
+                fmt::format("labels of points: {} of the files in lidarseg.json are missing", n_missing));
+        return files;
+    }
+
+    /// For T4, TruckScenes and Lyft.
+    void read_scans_of_point_files() {
+        std::vector<fs::path> files;
+        for (const FrameSweepRecord& frame : frames_) files.push_back(get_file_of_sweep(*frame.record));
+        read::PointFileUnits units;
+        // The last column is always 1 (Lyft) or -1 (T4).
+        if (!format_.has_times) units.columns = {"x", "y", "z", "intensity", "-"};
+        units.intensity_max = kMostIntensity;
+        units.time_unit_s = 1e-6;
+        units.absolute_times = true;
+        units.time_zero = double(scene_.lidars[0].sweeps[0].time_us);
+        const read::LidarScanLayout lidar{.sweep_duration_s =
+                                                format_.has_times ? step_s_ : kLyftRevolution_s};
+        read::read_scans(sequence_, {.lidars = std::vector(sequence_.lidars.size(), lidar)}, units, files,
+                           options_);
+    }
+};
+
+}  // namespace
+
+LidarSequence load_nuscenes(const fs::path& folder, const DatasetOptions& options) {
+    require_existing_folder(
+        folder, "nuScenes, TruckScenes, Lyft Level 5 or T4 (tables in v1.*/, *data/ or annotation/)");
+    return NuscenesLogLoader(folder, options).load_requested_scene();
+}
+
+}  // namespace relidar

@@ -1,0 +1,282 @@
+// SPDX-License-Identifier: Apache-2.0
+// Reads the tables of a dataset. Records refer to other records by tokens (ids). To find
+// the LiDAR of a file, the reader uses the tables sample_data, calibrated_sensor and
+// sensor.
+#include "read/datasets/nuscenes/nuscenes_tables.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <map>
+#include <string_view>
+#include <unordered_map>
+#include <unordered_set>
+
+#include <fmt/format.h>
+
+#include <relidar/base/error.hpp>
+#include "base/fail.hpp"
+#include "base/files.hpp"
+#include "log/classes/dataset_classes.hpp"
+#include "read/datasets/nuscenes/json_records.hpp"
+
+namespace relidar::nuscenes {
+namespace {
+
+namespace fs = std::filesystem;
+using Tokens = std::unordered_set<std::string>;
+template <class T>
+using TokenMap = std::unordered_map<std::string, T>;
+
+constexpr std::string_view kLidar = "LIDAR_";  // prefix of LiDAR channels
+constexpr const char* kFirstChannel = "LIDAR_TOP";
+// maximum time difference between a sweep and its vehicle pose
+constexpr double kFarthestPose_s = 0.1;
+
+TokenMap<std::int64_t> read_keyframe_times_us(const fs::path& table_folder, const std::string& scene_token) {
+    TokenMap<std::int64_t> samples;
+    for_each_json_record(table_folder / "sample.json", [&](const JsonRecord& record) {
+        if (record.get_text("scene_token") == scene_token)
+            samples[record.get_text("token")] = record.get_rounded_integer("timestamp");
+    });
+    return samples;
+}
+
+struct LidarMount {
+    std::string channel;
+    Pose ego_from_lidar;
+};
+
+TokenMap<LidarMount> read_lidars_by_calibration_token(const fs::path& table_folder) {
+    TokenMap<std::string> channels;
+    for_each_json_record(table_folder / "sensor.json", [&](const JsonRecord& record) {
+        const std::string channel = record.get_text("channel");
+        if (channel.starts_with(kLidar)) channels[record.get_text("token")] = channel;
+    });
+    if (channels.empty())
+        fail("{}, key 'channel': found no channel that begins with {}, expected at least one LiDAR",
+             (table_folder / "sensor.json").string(), kLidar);
+    TokenMap<LidarMount> mounted;
+    for_each_json_record(table_folder / "calibrated_sensor.json", [&](const JsonRecord& record) {
+        const auto channel = channels.find(record.get_text("sensor_token"));
+        if (channel != channels.end())
+            mounted[record.get_text("token")] = {channel->second, record.get_pose()};
+    });
+    return mounted;
+}
+
+using SweepsByChannel = std::map<std::string, TokenMap<SweepRecord>>;  // files by channel name, then by token
+
+SweepsByChannel list_lidar_files_of_scene(const fs::path& table_folder,
+                                          const TokenMap<std::int64_t>& keyframe_times_us,
+                                          const TokenMap<LidarMount>& mounted_lidars) {
+    SweepsByChannel files;
+    for_each_json_record(table_folder / "sample_data.json", [&](const JsonRecord& record) {
+        SweepRecord file;
+        file.calibration = record.get_text("calibrated_sensor_token");
+        const auto lidar = mounted_lidars.find(file.calibration);
+        if (lidar == mounted_lidars.end()) return;
+        file.sample = record.get_text("sample_token");
+        if (!keyframe_times_us.contains(file.sample)) return;
+        file.token = record.get_text("token");
+        file.next = record.get_text("next");
+        file.ego_pose = record.get_text("ego_pose_token");
+        file.file = record.get_text("filename");
+        file.time_us = record.get_rounded_integer("timestamp");
+        file.is_keyframe = record.get_bool("is_key_frame");
+        files[lidar->second.channel][file.token] = file;
+    });
+    return files;
+}
+
+/// Sorts the files of a LiDAR by time, from its first keyframe.
+/// @return empty without a keyframe
+std::vector<SweepRecord> list_sweeps_from_first_keyframe(const fs::path& table_folder,
+                                                         const TokenMap<SweepRecord>& files_by_token) {
+    const std::string where = (table_folder / "sample_data.json").string();
+    const SweepRecord* first = nullptr;
+    for (const auto& [name, file] : files_by_token)
+        if (file.is_keyframe && (!first || file.time_us < first->time_us)) first = &file;
+    std::vector<SweepRecord> sweeps;
+    for (std::string token = first ? first->token : ""; !token.empty(); token = sweeps.back().next) {
+        const auto file = files_by_token.find(token);
+        if (file == files_by_token.end() || sweeps.size() == files_by_token.size())
+            fail(
+                "{}, key 'next': found '{}' after {} files of a LiDAR, expected the token of the LiDAR's "
+                "next file in the scene, or an empty text after the last file",
+                where, shorten_for_error_message(token), sweeps.size());
+        if (!sweeps.empty() && file->second.time_us <= sweeps.back().time_us)
+            fail("{}, key 'timestamp': found {} after {}, expected increasing times", where,
+                 file->second.time_us, sweeps.back().time_us);
+        sweeps.push_back(file->second);
+    }
+    return sweeps;
+}
+
+std::vector<SceneLidar> read_lidars_of_scene(const fs::path& table_folder,
+                                             const TokenMap<std::int64_t>& keyframe_times_us) {
+    const TokenMap<LidarMount> mounted = read_lidars_by_calibration_token(table_folder);
+    std::vector<SceneLidar> lidars;
+    for (const auto& [channel, files] : list_lidar_files_of_scene(table_folder, keyframe_times_us, mounted)) {
+        SceneLidar lidar{channel, {}, list_sweeps_from_first_keyframe(table_folder, files)};
+        if (lidar.sweeps.empty()) continue;
+        lidar.ego_from_lidar = mounted.at(lidar.sweeps[0].calibration).ego_from_lidar;
+        for (const SweepRecord& sweep : lidar.sweeps)
+            if (sweep.calibration != lidar.sweeps[0].calibration)
+                fail(
+                    "{}, key 'calibrated_sensor_token': the file {} and the first file of the LiDAR {} in "
+                    "the scene have different values, expected the same value, because the LiDAR must keep "
+                    "its position on the vehicle",
+                    (table_folder / "sample_data.json").string(), shorten_for_error_message(sweep.file),
+                    channel);
+        lidars.push_back(std::move(lidar));
+    }
+    if (lidars.empty())
+        fail("{}: found no LiDAR file of the scene with \"is_key_frame\": true, expected at least one",
+             (table_folder / "sample_data.json").string());
+    std::stable_partition(lidars.begin(), lidars.end(),
+                          [](const SceneLidar& lidar) { return lidar.channel == kFirstChannel; });
+    return lidars;
+}
+
+/// Interpolates, because a sweep of TruckScenes refers to the nearest stored pose.
+std::vector<Pose> read_ego_poses_of_sweeps(const fs::path& table_folder,
+                                           const std::vector<SweepRecord>& sweeps) {
+    const fs::path file = table_folder / "ego_pose.json";
+    struct TimedPose {
+        std::int64_t time_us = 0;
+        Pose pose;
+    };
+    TokenMap<TimedPose> poses;
+    for (const SweepRecord& sweep : sweeps) poses[sweep.ego_pose];
+    Tokens missing;
+    for (const auto& [token, pose] : poses) missing.insert(token);
+    for_each_json_record(file, [&](const JsonRecord& record) {
+        const std::string token = record.get_text("token");
+        if (missing.erase(token) > 0)
+            poses[token] = {record.get_rounded_integer("timestamp"), record.get_pose()};
+    });
+    std::map<std::int64_t, Pose> by_time;
+    for (const SweepRecord& sweep : sweeps) {
+        if (missing.contains(sweep.ego_pose))
+            fail("{}, key 'token': the pose '{}' is missing, but the file {} refers to it", file.string(),
+                 shorten_for_error_message(sweep.ego_pose), shorten_for_error_message(sweep.file));
+        const TimedPose& pose = poses[sweep.ego_pose];
+        if (const double apart_s = double(pose.time_us - sweep.time_us) * 1e-6;
+            !(std::abs(apart_s) <= kFarthestPose_s))
+            fail(
+                "{}, key 'timestamp': the times of the pose '{}' and of its file {} differ by {} s, expected "
+                "at most {} s",
+                file.string(), shorten_for_error_message(sweep.ego_pose),
+                shorten_for_error_message(sweep.file), std::abs(apart_s), kFarthestPose_s);
+        by_time[pose.time_us] = pose.pose;
+    }
+    const auto seconds = [&](std::int64_t time_us) { return double(time_us - sweeps[0].time_us) * 1e-6; };
+    PoseTrack track;
+    for (const auto& [time_us, pose] : by_time) track.append(seconds(time_us), pose);
+    std::vector<Pose> world_from_ego;
+    for (const SweepRecord& sweep : sweeps)
+        world_from_ego.push_back(track.interpolate_pose(seconds(sweep.time_us)));
+    return world_from_ego;
+}
+
+/// Returns a text of each record by its token.
+/// @param tokens_or_null  records to read; null: all
+TokenMap<std::string> read_text_column_by_token(const fs::path& table_file, const char* key,
+                                                const Tokens* tokens_or_null) {
+    TokenMap<std::string> values;
+    for_each_json_record(table_file, [&](const JsonRecord& record) {
+        const std::string token = record.get_text("token");
+        if (!tokens_or_null || tokens_or_null->contains(token)) values[token] = record.get_text(key);
+    });
+    return values;
+}
+
+/// Test splits have no label table.
+std::vector<BoxLabel> read_box_labels_of_scene(const fs::path& table_folder, const SceneTables& scene,
+                                               const TokenMap<std::int64_t>& keyframe_times_us) {
+    std::vector<BoxLabel> labels;
+    Tokens instances;
+    const fs::path file = table_folder / "sample_annotation.json";
+    if (!does_path_exist(file)) return labels;
+    for_each_json_record(file, [&](const JsonRecord& record) {
+        const auto sample = keyframe_times_us.find(record.get_text("sample_token"));
+        if (sample == keyframe_times_us.end()) return;
+        const glm::dvec3 size = record.get_vec3("size");  // width, length, height
+        if (!(std::min({size.x, size.y, size.z}) > 0.0))
+            fail("{}, key 'size': found {} x {} x {}, expected all above 0", file.string(), size.x, size.y,
+                 size.z);
+        labels.push_back({record.get_text("instance_token"),
+                          "",
+                          {size.y, size.x, size.z},
+                          scene.to_seconds_since_first_sweep(sample->second),
+                          record.get_pose()});
+        instances.insert(labels.back().id);
+    });
+    const TokenMap<std::string> category_of =
+        read_text_column_by_token(table_folder / "instance.json", "category_token", &instances);
+    const TokenMap<std::string> names =
+        read_text_column_by_token(table_folder / "category.json", "name", nullptr);
+    for (BoxLabel& label : labels) {
+        const auto category = category_of.find(label.id);
+        const auto name = category == category_of.end() ? names.end() : names.find(category->second);
+        if (name == names.end())
+            fail("{}: the instance '{}' has no category, expected one in category.json",
+                 (table_folder / "instance.json").string(), shorten_for_error_message(label.id));
+        label.category = name->second;
+    }
+    std::stable_sort(labels.begin(), labels.end(), [](const BoxLabel& first, const BoxLabel& second) {
+        return first.time_s < second.time_s;
+    });
+    return labels;
+}
+
+/// The table lidarseg is a separate download.
+void read_lidarseg_files_and_classes(const fs::path& table_folder, SceneTables& scene) {
+    const fs::path file = table_folder / "lidarseg.json";
+    if (!does_path_exist(file)) return;
+    TokenMap<SweepRecord*> sweeps;
+    for (SceneLidar& lidar : scene.lidars)
+        for (SweepRecord& sweep : lidar.sweeps) sweeps[sweep.token] = &sweep;
+    bool has_files = false;
+    for_each_json_record(file, [&](const JsonRecord& record) {
+        const auto sweep = sweeps.find(record.get_text("sample_data_token"));
+        if (sweep == sweeps.end()) return;
+        sweep->second->categories_file = record.get_text("filename");
+        has_files = true;
+    });
+    if (!has_files) return;
+    const fs::path categories = table_folder / "category.json";
+    for_each_json_record(categories, [&](const JsonRecord& record) {
+        const std::int64_t index = record.get_rounded_integer("index");
+        if (index < 0 || index >= std::int64_t(scene.classes.size()))
+            fail("{}, key 'index': found {} for the category '{}', expected 0 to {}", categories.string(),
+                 index, shorten_for_error_message(record.get_text("name")), scene.classes.size() - 1);
+        scene.classes[std::size_t(index)] = convert_nuscenes_class(record.get_text("name"));
+    });
+}
+
+}  // namespace
+
+std::vector<std::string> list_scene_names(const fs::path& table_folder) {
+    std::vector<std::string> names;
+    for_each_json_record(table_folder / "scene.json",
+                         [&](const JsonRecord& record) { names.push_back(record.get_text("name")); });
+    return names;
+}
+
+SceneTables read_scene_tables(const fs::path& table_folder, const std::string& scene_name) {
+    SceneTables scene;
+    scene.name = scene_name;
+    std::string scene_token;
+    for_each_json_record(table_folder / "scene.json", [&](const JsonRecord& record) {
+        if (record.get_text("name") == scene_name) scene_token = record.get_text("token");
+    });
+    const TokenMap<std::int64_t> samples = read_keyframe_times_us(table_folder, scene_token);
+    scene.lidars = read_lidars_of_scene(table_folder, samples);
+    scene.world_from_ego = read_ego_poses_of_sweeps(table_folder, scene.lidars[0].sweeps);
+    scene.labels = read_box_labels_of_scene(table_folder, scene, samples);
+    read_lidarseg_files_and_classes(table_folder, scene);
+    return scene;
+}
+
+}  // namespace relidar::nuscenes

@@ -1,0 +1,136 @@
+// SPDX-License-Identifier: Apache-2.0
+// Shapes of the synthetic street, and exact ray casting. The street frame is in metres: x
+// along the street, y left, z up. The middle of the sensor's path has x = 0. The ground
+// has z = 0.
+#pragma once
+
+#include <optional>
+#include <vector>
+
+#include <relidar/read/dataset.hpp>
+
+namespace relidar::street {
+
+enum class Material { road, pavement, wall, metal, paint, leaves };
+
+/// upright; a cylinder has the radius half.x and the height 2 half.z
+struct StreetShape {
+    enum class Kind { box, cylinder } kind = Kind::box;
+    glm::dvec3 centre{0.0};
+    glm::dvec3 half{0.0};
+    double yaw_rad = 0.0;
+    Material material = Material::wall;
+    double reflectance = 0.5;  ///< reflectance from 0 to 1
+    SurfaceClass surface = SurfaceClass::building;
+};
+
+/// a capsule that swings about its joint once per stride
+struct SwingingLimb {
+    glm::dvec3 joint_m{0.0};  ///< position of the joint in the frame of the person's box
+    double length_m = 0.0;    ///< length of the capsule's axis, from the joint to the end
+    double radius_m = 0.0;
+    double swing_rad = 0.0;  ///< maximum angle from straight down
+    double phase_rad = 0.0;  ///< phase of the swing at the start of the walk
+    double reflectance = 0.5;
+};
+
+/// Moves straight at constant speed, or along a track. Its shapes are in the frame of its
+/// box.
+struct MovingStreetActor {
+    const char* category = "Car";
+    glm::dvec3 start_m{0.0};  ///< centre of the box at time 0, in the street frame
+    double yaw_rad = 0.0;
+    double speed_mps = 0.0;
+    glm::dvec3 size_m{0.0};  ///< size of the box, which is slightly larger than the shapes in it
+    std::vector<StreetShape> shapes;
+    std::vector<SwingingLimb> limbs;
+    double stride_m = 0.0;  ///< length of a stride; a stride consists of two steps
+    /// poses of the box in street coordinates; empty: straight at constant speed
+    PoseTrack track;
+
+    Pose compute_world_from_box(double time_s) const;
+    /// Distance that a person has walked; it controls the swing of limbs. Without a
+    /// `track`, it is 0 at time 0. With a `track`, its value at the first pose is the
+    /// distance from start_m to this pose along yaw_rad.
+    double compute_walked_distance_m(double time_s) const;
+};
+
+struct SyntheticStreet {
+    std::vector<StreetShape> shapes;
+    std::vector<MovingStreetActor> cars;
+};
+
+/// The random seed determines the positions of facades, poles, trees and parked cars.
+SyntheticStreet make_street(const SyntheticOptions& options);
+
+/// The sensor swings gently across the lane, faces along its path, and has a small pitch.
+Pose compute_sensor_pose(const SyntheticOptions& options, double time_s);
+
+/// 0.1 s apart; frame 0 has the time 0
+inline double compute_frame_time_s(int frame_number) { return 0.1 * frame_number; }
+
+struct BoundingSphere {
+    glm::dvec3 centre{0.0};
+    double radius_m = 0.0;
+};
+
+struct StreetHit {
+    double range_m;
+    double cosine;  ///< cosine of the angle between ray and surface normal, 0 to 1
+    double reflectance;
+    SurfaceClass surface;
+};
+
+/// poses of all moving cars at one time, reused for consecutive rays
+struct MovingActorPoses {
+    std::optional<double> time_s;
+    std::vector<glm::dvec3> centre_m;  ///< [cars] centre of the box of each car
+    std::vector<Pose> box_from_world;  ///< [cars] transform from the street frame to the box of each car
+};
+
+class StreetCaster {
+public:
+    explicit StreetCaster(SyntheticStreet street);
+    /// Returns nothing beyond max_range_m.
+    /// @param car_pose_cache  recomputed if its time differs from time_s
+    std::optional<StreetHit> find_first_hit(const WorldRay& ray, double time_s, double max_range_m,
+                                            MovingActorPoses& car_pose_cache) const;
+    std::optional<StreetHit> find_first_hit(const WorldRay& ray, double time_s, double max_range_m) const;
+
+private:
+    /// with precomputed values
+    struct RayCastShape {
+        StreetShape shape;
+        BoundingSphere around;
+        double cos_yaw, sin_yaw;
+    };
+    struct RayCastActor {
+        MovingStreetActor moving;
+        std::vector<RayCastShape> solids;
+        /// radius of a sphere around the centre of the box
+        double reach_m = 0.0;
+    };
+    /// Shapes that are close together. A ray that misses their bounding sphere skips
+    /// them.
+    struct Cluster {
+        BoundingSphere around;
+        /// index after the last shape; groups are consecutive
+        std::size_t end;
+    };
+    class NearestSurfaceSearch;
+    std::vector<RayCastShape> solids_;
+    std::vector<Cluster> clusters_;
+    std::vector<RayCastActor> cars_;
+
+    static std::vector<RayCastShape> prepare_shapes_for_ray_casting(const std::vector<StreetShape>& shapes);
+    void update_car_pose_cache(double time_s, MovingActorPoses& car_pose_cache) const;
+};
+
+}  // namespace relidar::street
+
+namespace relidar {
+
+/// Generates the frames [begin_frame, end_frame) of a log.
+LidarSequence make_synthetic_frames(const SyntheticOptions& options, int begin_frame, int end_frame);
+
+}  // namespace relidar

@@ -1,0 +1,313 @@
+// SPDX-License-Identifier: Apache-2.0
+// Creates the objects of the synthetic street. Facades with gaps are on both sides, along
+// 160 m or along the full path of the sensor. Poles and trees stand on the pavements, and
+// parked cars at the kerbs. One car drives ahead of the sensor in the same lane, slightly
+// faster. One oncoming car passes, or several on a long street.
+//
+// The arguments of a function draw at most one random number, because the compiler
+// chooses the order of arguments. Another order of the draws would change the street.
+//
+// Optional people are one person on each pavement, one person who crosses the street, and
+// a cyclist next to the lane. With people, a yard on the left contains parked cars behind
+// a fence.
+#include "read/datasets/street/street.hpp"
+
+#include <cmath>
+
+#include "base/random.hpp"
+
+namespace relidar::street {
+namespace {
+
+constexpr double kHalfLength_m = 80.0, kLongDrive_m = 100.0, kBetweenCars_m = 120.0;
+// The sensor drives at y = 0, in the right-hand lane. The middle is at y = 1.1.
+constexpr double kLeftKerb_m = 6.6, kRightKerb_m = -4.4;
+constexpr double kCarLength_m = 4.3, kCarWidth_m = 1.8;
+// A box contains the full car, from 0.2 m, but no ground.
+constexpr double kBoxBottom_m = 0.15, kBoxTop_m = 1.5;
+constexpr double kBoxCentre_m = 0.5 * (kBoxBottom_m + kBoxTop_m);
+// along the street, left of the pavement
+constexpr double kYardBegin_m = 6.0, kYardEnd_m = 32.0;
+
+StreetShape make_box(const glm::dvec3& centre, const glm::dvec3& half, Material material, double reflectance,
+                     SurfaceClass surface = SurfaceClass::building, double yaw_rad = 0.0) {
+    return {StreetShape::Kind::box, centre, half, yaw_rad, material, reflectance, surface};
+}
+
+StreetShape make_cylinder(const glm::dvec3& centre, double radius_m, double half_height_m, Material material,
+                          double reflectance, SurfaceClass surface = SurfaceClass::building) {
+    return {StreetShape::Kind::cylinder,
+            centre,
+            {radius_m, radius_m, half_height_m},
+            0.0,
+            material,
+            reflectance,
+            surface};
+}
+
+double compute_middle_frame_time_s(const SyntheticOptions& options) {
+    return compute_frame_time_s(options.n_frames / 2);
+}
+
+double compute_driven_distance_m(const SyntheticOptions& options) {
+    return options.speed_mps * compute_frame_time_s(options.n_frames - 1);
+}
+
+struct StreetSide {
+    double left;  ///< sign of y on this side: 1 on the left, -1 on the right
+    double kerb_m;
+    double half_m;  ///< half of the length of the street
+};
+
+void add_facades(SyntheticStreet& street, Random& random, const StreetSide& street_side,
+                 bool leave_yard_gap) {
+    const auto& [side, kerb_m, half_m] = street_side;
+    for (double x = -half_m; x < half_m;) {
+        const double width = random.sample_uniform_number(8.0, 18.0),
+                     height = random.sample_uniform_number(5.0, 14.0),
+                     depth = random.sample_uniform_number(6.0, 10.0);
+        const double setback = random.sample_uniform_number(2.5, 4.5);
+        const double y = kerb_m + side * (setback + 0.5 * depth);
+        const double reflectance = random.sample_uniform_number(0.3, 0.8);
+        if (!leave_yard_gap || x + width < kYardBegin_m || x > kYardEnd_m)
+            street.shapes.push_back(make_box({x + 0.5 * width, y, 0.5 * height},
+                                             0.5 * glm::dvec3(width, depth, height), Material::wall,
+                                             reflectance));
+        x += width + (random.sample_uniform_number() < 0.3 ? random.sample_uniform_number(2.0, 5.0) : 0.0);
+    }
+}
+
+void add_poles_and_trees(SyntheticStreet& street, Random& random, const StreetSide& street_side) {
+    const auto& [side, kerb_m, half_m] = street_side;
+    for (double x = -half_m + random.sample_uniform_number(2.0, 8.0); x < half_m;
+         x += random.sample_uniform_number(9.0, 16.0)) {
+        const double y = kerb_m + side * random.sample_uniform_number(0.5, 1.0);
+        const bool tree = random.sample_uniform_number() < 0.4;
+        const double height = tree ? 3.0 : random.sample_uniform_number(4.0, 7.0),
+                     radius = tree ? 0.18 : random.sample_uniform_number(0.07, 0.13);
+        street.shapes.push_back(make_cylinder({x, y, 0.5 * height}, radius, 0.5 * height,
+                                              tree ? Material::leaves : Material::metal, tree ? 0.3 : 0.5,
+                                              tree ? SurfaceClass::vegetation : SurfaceClass::pole));
+        if (!tree) continue;
+        const double size = random.sample_uniform_number(0.7, 1.2);
+        street.shapes.push_back(make_box({x, y, 3.0 + size}, glm::dvec3(size), Material::leaves, 0.4,
+                                         SurfaceClass::vegetation, random.sample_uniform_number(0.0, 1.5)));
+    }
+}
+
+/// a body at 0.20 to 0.90 m, and a cabin at 0.90 to 1.45 m above the ground
+std::vector<StreetShape> make_car_shapes(double paint_reflectance) {
+    return {make_box({0.0, 0.0, 0.55 - kBoxCentre_m}, {0.5 * kCarLength_m, 0.5 * kCarWidth_m, 0.35},
+                     Material::paint, paint_reflectance),
+            make_box({-0.2, 0.0, 1.175 - kBoxCentre_m}, {1.15, 0.5 * kCarWidth_m - 0.12, 0.275},
+                     Material::paint, 0.6 * paint_reflectance)};
+}
+
+/// The cabin has pillars, seats and a roof, but no walls.
+std::vector<StreetShape> make_glazed_car_shapes(double paint_reflectance) {
+    std::vector<StreetShape> shapes{
+        make_car_shapes(paint_reflectance)[0],
+        make_box({-0.2, 0.0, 1.42 - kBoxCentre_m}, {0.95, 0.5 * kCarWidth_m - 0.12, 0.03}, Material::paint,
+                 paint_reflectance),
+        make_box({-0.3, 0.0, 1.0 - kBoxCentre_m}, {0.12, 0.6, 0.2}, Material::leaves, 0.3)};
+    for (const double x : {-1.2, -0.1, 0.8})
+        for (const double y : {-0.75, 0.75})
+            shapes.push_back(make_box({x, y, 1.16 - kBoxCentre_m}, {0.05, 0.04, 0.26}, Material::paint,
+                                      paint_reflectance));
+    return shapes;
+}
+
+void add_parked_car(SyntheticStreet& street, double x_m, double y_m, double yaw_rad,
+                    const std::vector<StreetShape>& car_shapes) {
+    for (StreetShape shape : car_shapes) {
+        const glm::dvec3 c = shape.centre;
+        shape.centre =
+            glm::dvec3(x_m + c.x * std::cos(yaw_rad) - c.y * std::sin(yaw_rad),
+                       y_m + c.x * std::sin(yaw_rad) + c.y * std::cos(yaw_rad), c.z + kBoxCentre_m);
+        shape.yaw_rad = yaw_rad;
+        shape.surface = SurfaceClass::vehicle;
+        street.shapes.push_back(shape);
+    }
+}
+
+void add_parked_cars(SyntheticStreet& street, Random& random, const StreetSide& street_side,
+                     bool have_glass_windows) {
+    for (double x = -street_side.half_m + random.sample_uniform_number(2.0, 10.0);
+         x < street_side.half_m - 5.0; x += random.sample_uniform_number(6.0, 20.0)) {
+        const double yaw = random.sample_uniform_number(-0.04, 0.04),
+                     y = street_side.kerb_m - 1.1 * street_side.left +
+                         random.sample_uniform_number(-0.15, 0.15);
+        const double paint = random.sample_uniform_number(0.15, 0.8);
+        add_parked_car(street, x, y, yaw,
+                       have_glass_windows ? make_glazed_car_shapes(paint) : make_car_shapes(paint));
+    }
+}
+
+/// The fence hides about half of each parked car. A moving sensor therefore sees other
+/// parts of the cars in every sweep.
+void add_yard(SyntheticStreet& street, Random& random) {
+    const double fence_y = kLeftKerb_m + 2.4;
+    for (double x = kYardBegin_m; x < kYardEnd_m; x += random.sample_uniform_number(0.4, 1.2))
+        street.shapes.push_back(
+            make_box({x, fence_y, 0.9}, {0.15, 0.05, 0.9}, Material::wall, 0.4, SurfaceClass::fence));
+    for (double x = kYardBegin_m + 1.5; x < kYardEnd_m; x += random.sample_uniform_number(2.6, 4.0)) {
+        const double paint_reflectance = random.sample_uniform_number(0.15, 0.8);
+        const double yaw_rad = 0.5 * kPi + random.sample_uniform_number(-0.05, 0.05);
+        const double y_m = fence_y + random.sample_uniform_number(3.0, 4.0);
+        add_parked_car(street, x, y_m, yaw_rad, make_glazed_car_shapes(paint_reflectance));
+    }
+    street.shapes.push_back(make_box({0.5 * (kYardBegin_m + kYardEnd_m), fence_y + 12.0, 3.0},
+                                     {0.5 * (kYardEnd_m - kYardBegin_m), 1.0, 3.0}, Material::wall, 0.5));
+}
+
+MovingStreetActor make_moving_car(const SyntheticOptions& options, double x_at_middle_time_m, double y_m,
+                                  double yaw_rad, double speed_mps, double paint_reflectance) {
+    MovingStreetActor car;
+    car.yaw_rad = yaw_rad;
+    car.speed_mps = speed_mps;
+    car.size_m = {kCarLength_m + 0.1, kCarWidth_m + 0.1, kBoxTop_m - kBoxBottom_m};
+    const double x =
+        x_at_middle_time_m - std::cos(yaw_rad) * speed_mps * compute_middle_frame_time_s(options);
+    car.start_m = {x, y_m, kBoxCentre_m};
+    car.shapes = make_car_shapes(paint_reflectance);
+    return car;
+}
+
+/// The car is 14 m ahead in the middle of the log. A long street has one per 120 m.
+void add_oncoming_cars(SyntheticStreet& street, Random& random, const SyntheticOptions& options) {
+    constexpr double kSpeed_mps = 9.0, kLane_m = 3.2;
+    street.cars.push_back(make_moving_car(options, 14.0, kLane_m, kPi, kSpeed_mps, 0.35));
+    if (compute_driven_distance_m(options) <= kLongDrive_m) return;
+    for (double met_m = kBetweenCars_m; met_m < 0.5 * compute_driven_distance_m(options);
+         met_m += kBetweenCars_m)
+        for (const double x : {met_m, -met_m})
+            street.cars.push_back(make_moving_car(options, x * (1.0 + kSpeed_mps / options.speed_mps),
+                                                  kLane_m, kPi, kSpeed_mps,
+                                                  random.sample_uniform_number(0.15, 0.8)));
+}
+
+/// Most rays pass through its leaves and twigs.
+void add_bush(SyntheticStreet& street, Random& random, const glm::dvec2& position_m) {
+    for (int leaf = 0; leaf < 60; ++leaf) {
+        const double z_m = random.sample_uniform_number(0.1, 1.6);
+        const double y_m = position_m.y + random.sample_uniform_number(-0.5, 0.5);
+        const double x_m = position_m.x + random.sample_uniform_number(-1.0, 1.0);
+        street.shapes.push_back({StreetShape::Kind::box, glm::dvec3(x_m, y_m, z_m),
+                                 glm::dvec3(random.sample_uniform_number(0.03, 0.08)),
+                                 random.sample_uniform_number(0.0, 1.5), Material::leaves, 0.4,
+                                 SurfaceClass::vegetation});
+    }
+}
+
+/// 1.75 m tall and 0.25 to 0.35 m wide. The box begins 0.05 m above the ground.
+MovingStreetActor make_pedestrian(const SyntheticOptions& options,
+                                  const glm::dvec2& position_at_middle_time_m, double yaw_rad,
+                                  double speed_mps) {
+    constexpr double kTall_m = 1.75, kBottom_m = 0.05, kHalf_m = 0.5 * (kTall_m - kBottom_m);
+    MovingStreetActor walker;
+    walker.category = "Pedestrian";
+    walker.yaw_rad = yaw_rad;
+    walker.speed_mps = speed_mps;
+    walker.size_m = {0.6, 0.6, 2.0 * kHalf_m};
+    const glm::dvec2 start = position_at_middle_time_m - speed_mps * compute_middle_frame_time_s(options) *
+                                                             glm::dvec2(std::cos(yaw_rad), std::sin(yaw_rad));
+    walker.start_m = {start, kBottom_m + kHalf_m};
+    walker.shapes = {make_cylinder({0.0, 0.0, 0.4 - kHalf_m}, 0.125, 0.4, Material::leaves, 0.35),
+                     make_cylinder({0.0, 0.0, 0.8 + 0.45 - kHalf_m}, 0.175, 0.45, Material::leaves, 0.5)};
+    return walker;
+}
+
+/// Feet on the ground do not slide: they swing backward as fast as the body moves
+/// forward.
+void replace_legs_by_swinging_limbs(MovingStreetActor& pedestrian) {
+    constexpr double kLeg_m = 0.72, kLegRadius_m = 0.075, kHip_m = 0.09, kArm_m = 0.5, kArmRadius_m = 0.045,
+                     kShoulder_m = 0.23;
+    constexpr double kSwing_rad = 0.45, kShoulderBelowTop_m = 0.35;
+    const double half = 0.5 * pedestrian.size_m.z, hip_z = -half + kLeg_m + kLegRadius_m;
+    pedestrian.shapes.erase(pedestrian.shapes.begin());
+    for (const double side : {1.0, -1.0}) {
+        const double phase = side > 0.0 ? 0.0 : kPi;
+        pedestrian.limbs.push_back(
+            {{0.0, side * kHip_m, hip_z}, kLeg_m, kLegRadius_m, kSwing_rad, phase, 0.35});
+        pedestrian.limbs.push_back({{0.0, side * kShoulder_m, half - kShoulderBelowTop_m},
+                                    kArm_m,
+                                    kArmRadius_m,
+                                    kSwing_rad,
+                                    phase + kPi,
+                                    0.5});
+    }
+    pedestrian.stride_m = 4.0 * kLeg_m * std::sin(kSwing_rad);
+    pedestrian.size_m.x = 2.0 * (kLeg_m * std::sin(kSwing_rad) + kLegRadius_m) + 0.04;
+}
+
+MovingStreetActor make_cyclist(const SyntheticOptions& options, const glm::dvec2& position_at_middle_time_m,
+                               double speed_mps) {
+    MovingStreetActor rider = make_pedestrian(options, position_at_middle_time_m, 0.0, speed_mps);
+    rider.category = "Cyclist";
+    rider.size_m.x = 1.8;
+    for (StreetShape& shape : rider.shapes) shape.centre.x -= 0.2;
+    rider.shapes[0] =
+        make_box({0.0, 0.0, 0.5 - 0.5 * rider.size_m.z}, {0.85, 0.08, 0.45}, Material::metal, 0.4);
+    return rider;
+}
+
+void add_people(SyntheticStreet& street, Random& random, const SyntheticOptions& options) {
+    const std::size_t first = street.cars.size();
+    struct Walk {
+        double min_x_m, max_x_m, y_m, yaw_rad;
+    };
+    for (const Walk& walk : {Walk{4.0, 16.0, kRightKerb_m - 1.6, 0.0},
+                             Walk{4.0, 16.0, kLeftKerb_m + 1.7, kPi}, Walk{24.0, 30.0, 4.5, -0.5 * kPi}}) {
+        const double speed_mps = random.sample_uniform_number(1.0, 1.6);
+        const double x_m = random.sample_uniform_number(walk.min_x_m, walk.max_x_m);
+        street.cars.push_back(make_pedestrian(options, {x_m, walk.y_m}, walk.yaw_rad, speed_mps));
+    }
+    if (options.gait)
+        for (std::size_t i = first; i < street.cars.size(); ++i)
+            replace_legs_by_swinging_limbs(street.cars[i]);
+    const double cyclist_speed_mps = random.sample_uniform_number(4.0, 6.0);
+    const double cyclist_x_m = random.sample_uniform_number(6.0, 9.0);
+    street.cars.push_back(make_cyclist(options, {cyclist_x_m, kRightKerb_m + 2.7}, cyclist_speed_mps));
+}
+
+}  // namespace
+
+SyntheticStreet make_street(const SyntheticOptions& options) {
+    SyntheticStreet street;
+    Random random(options.seed);
+    // The street continues beyond both ends of the sensor's path, even for a long log.
+    const double driven_length_m = compute_driven_distance_m(options);
+    const double half_length_m =
+        driven_length_m > kLongDrive_m ? 0.5 * driven_length_m + kHalfLength_m : kHalfLength_m;
+    const StreetSide left{1.0, kLeftKerb_m, half_length_m}, right{-1.0, kRightKerb_m, half_length_m};
+    add_facades(street, random, left, options.people);
+    add_facades(street, random, right, false);
+    add_poles_and_trees(street, random, left);
+    add_poles_and_trees(street, random, right);
+    add_parked_cars(street, random, left, options.people);
+    add_parked_cars(street, random, right, options.people);
+    if (options.moving_cars) {
+        // The sensor never overtakes the car ahead.
+        const double ahead_m = compute_driven_distance_m(options) > kLongDrive_m
+                                   ? 12.0 + 0.05 * 0.5 * compute_driven_distance_m(options)
+                                   : 12.0;
+        street.cars.push_back(make_moving_car(options, ahead_m, 0.1, 0.0, 1.05 * options.speed_mps, 0.6));
+        add_oncoming_cars(street, random, options);
+    }
+    if (options.people) {
+        add_yard(street, random);
+        for (const double x : {-14.0, -4.0, 18.0}) add_bush(street, random, {x, kRightKerb_m - 0.9});
+        add_people(street, random, options);
+    }
+    return street;
+}
+
+Pose compute_sensor_pose(const SyntheticOptions& options, double time_s) {
+    constexpr double kSwing_m = 0.5, kWave = 2.0 * kPi / 90.0, kHeight_m = 1.8;
+    const double x = options.speed_mps * (time_s - compute_middle_frame_time_s(options));
+    const double yaw = std::atan(kSwing_m * kWave * std::cos(kWave * x)) + 0.01 * std::sin(0.31 * x);
+    const double pitch = 0.004 * std::sin(0.43 * x), roll = 0.004 * std::sin(0.23 * x + 1.0);
+    return {make_rotation(yaw, pitch, roll), {x, kSwing_m * std::sin(kWave * x), kHeight_m}};
+}
+
+}  // namespace relidar::street

@@ -1,0 +1,67 @@
+// SPDX-License-Identifier: Apache-2.0
+// Parses one record of Waymo Open Perception 1.4. A record is a Frame message, which
+// contains the images and labels of all LiDARs.
+#pragma once
+
+#include <cstdint>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include <relidar/read/clouds.hpp>
+
+namespace relidar::waymo {
+
+inline constexpr int kTop = 1;  ///< LaserName of TOP, the long-range LiDAR on the roof
+
+/// x forward, y left, z up
+struct WaymoLidarCalibration {
+    int laser = 0;  ///< number of the LiDAR in Waymo's enum LaserName
+    /// ascending; empty: evenly spaced between minimum and maximum
+    std::vector<double> inclination_rad;
+    double min_inclination_rad = 0.0, max_inclination_rad = 0.0;
+    Pose vehicle_from_laser;
+};
+
+/// Compressed images of a LiDAR in one frame: views of the record.
+struct CompressedLidarImages {
+    int laser = 0;
+    /// first and second returns; `second` may be empty
+    std::string_view first, second;
+    /// vehicle pose of each pixel of `first`; empty if all pixels have the same pose
+    std::string_view pixel_pose;
+    /// instance and class of each pixel of `first`; empty without labels
+    std::string_view labels;
+};
+
+struct WaymoFrameRecord {
+    std::int64_t timestamp_us = 0;              ///< time of TOP's first firing
+    Pose world_from_vehicle;                    ///< vehicle pose at about the middle of the sweep
+    std::vector<WaymoLidarCalibration> lasers;  ///< sorted by LaserName
+    std::vector<CompressedLidarImages> images;  ///< sorted by LaserName
+    /// Despite its name, `world_from_box` is in the vehicle frame here. `time_s` is not
+    /// set.
+    std::vector<BoxLabel> labels;
+};
+WaymoFrameRecord parse_frame_record(std::string_view record_bytes, const std::string& error_location);
+
+struct DecompressedImage {
+    int rows = 0, columns = 0, channels = 0;
+    std::vector<float> values;
+
+    const float* get_pixel_values(std::size_t pixel_index) const {
+        return &values[pixel_index * std::size_t(channels)];
+    }
+};
+enum class PixelType { real, integer };
+/// @param compressed_image  zlib stream
+/// @throws DataError if the stream is damaged, or if the image has another number of
+/// channels
+DecompressedImage inflate_image(std::string_view compressed_image, int n_channels,
+                                const std::string& error_location, PixelType pixel_type = PixelType::real);
+
+/// from the top row to the bottom row
+std::vector<double> compute_row_elevations_rad(const WaymoLidarCalibration& calibration, int n_rows,
+                                               const std::string& error_location);
+
+}  // namespace relidar::waymo

@@ -1,0 +1,29 @@
+// SPDX-License-Identifier: Apache-2.0
+// Finds the ring of each point, if a file stores the points ring by ring. In such a file,
+// the azimuth makes one turn per ring. This also works for an HDL-64E, whose rings
+// overlap in elevation because its beams start far from the centre of the sensor.
+#pragma once
+
+#include <vector>
+
+#include <relidar/read/points.hpp>
+
+namespace relidar::read {
+
+class RingOrderDetector {
+public:
+    explicit RingOrderDetector(const std::vector<LidarPoints>& scans);
+    /// At least 4 rings are stored one after another.
+    bool is_stored_ring_by_ring() const { return !elevation_rad_.empty(); }
+    std::size_t n_rings() const { return elevation_rad_.size(); }
+    /// Ring 0 is the first ring in the files. In a scan with fewer rings, each ring gets
+    /// the number of the ring with the nearest elevation.
+    void assign_ring_numbers(LidarPoints& points) const;
+
+private:
+    double first_azimuth_rad_ = 0.0;     ///< azimuth at which each ring begins
+    double turning_ = 1.0;               ///< 1 if the azimuth increases along a ring, -1 if it decreases
+    std::vector<double> elevation_rad_;  ///< [rings] median elevation of the farther points of each ring
+};
+
+}  // namespace relidar::read

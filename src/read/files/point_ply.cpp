@@ -1,0 +1,86 @@
+// SPDX-License-Identifier: Apache-2.0
+// Reads the vertices of PLY files. The data is text or binary little-endian. The vertices
+// must be the first element of the file.
+#include <sstream>
+
+#include "base/fail.hpp"
+#include "base/files.hpp"
+#include "read/files/point_table.hpp"
+
+namespace relidar::read {
+namespace {
+
+constexpr std::size_t kMostPlyFields = 1024;
+
+PointField make_ply_field(const std::string& type_name, const std::string& name, const std::string& where) {
+    struct PlyScalarType {
+        const char *name, *other;
+        char kind;
+        std::size_t size;
+    };
+    static constexpr PlyScalarType kTypes[] = {{"float", "float32", 'F', 4}, {"double", "float64", 'F', 8},
+                                               {"char", "int8", 'I', 1},     {"short", "int16", 'I', 2},
+                                               {"int", "int32", 'I', 4},     {"uchar", "uint8", 'U', 1},
+                                               {"ushort", "uint16", 'U', 2}, {"uint", "uint32", 'U', 4}};
+    for (const PlyScalarType& row : kTypes)
+        if (type_name == row.name || type_name == row.other) return {name, row.kind, row.size};
+    fail("{}: the property '{}' has the type '{}', expected a number type (lists are not supported)", where,
+         shorten_for_error_message(name), shorten_for_error_message(type_name));
+}
+
+struct PlyHeader {
+    std::string format;
+    std::size_t n = 0;
+    std::vector<PointField> fields;
+    std::size_t length = 0;  ///< bytes of the header
+};
+
+void parse_ply_header_line(const std::string& line, PlyHeader& header, int& n_elements,
+                           const std::string& where) {
+    std::istringstream words(line);
+    std::string keyword, a, b;
+    words >> keyword >> a >> b;
+    if (keyword == "format") {
+        header.format = a;
+    } else if (keyword == "element") {
+        const auto n = parse_number(b);
+        if (++n_elements == 1 && (a != "vertex" || !n || !(*n >= 0.0 && *n <= 1e9)))
+            fail("{}: found '{}', expected 'element vertex N' as the first element", where,
+                 shorten_for_error_message(line));
+        if (n_elements == 1) header.n = std::size_t(*n);
+    } else if (keyword == "property" && n_elements == 1) {
+        if (header.fields.size() >= kMostPlyFields)
+            fail("{}: found too many properties of a vertex, expected at most {}", where, kMostPlyFields);
+        header.fields.push_back(make_ply_field(a, b, where));
+    }
+}
+
+PlyHeader parse_ply_header(std::string_view bytes, const std::string& where) {
+    PlyHeader header;
+    int elements = 0;
+    if (!bytes.starts_with("ply")) fail("{}: the file does not begin with 'ply', expected a PLY file", where);
+    for (std::string_view line; line != "end_header";) {
+        const std::size_t end = bytes.find('\n', header.length);
+        if (end == std::string_view::npos)
+            fail("{}: the line end_header is missing, expected the header of a PLY file", where);
+        line = trim_blanks_at_both_ends(bytes.substr(header.length, end - header.length));
+        header.length = end + 1;
+        parse_ply_header_line(std::string(line), header, elements, where);
+    }
+    return header;
+}
+
+}  // namespace
+
+PointTable parse_ply_points(const SharedBytes& file, const std::string& where) {
+    const PlyHeader header = parse_ply_header(file.bytes, where);
+    const std::string_view data = file.bytes.substr(header.length);
+    if (header.format == "ascii") return parse_point_lines(data, header.fields, header.n, where);
+    if (header.format == "binary_little_endian")
+        return make_table_of_binary_points(file.make_shared_subview(data), header.fields, header.n,
+                                           PointMemoryLayout::by_point, where);
+    fail("{}: found the format '{}', expected ascii or binary_little_endian", where,
+         shorten_for_error_message(header.format));
+}
+
+}  // namespace relidar::read

@@ -1,0 +1,402 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "read/files/point_table.hpp"
+
+#include <algorithm>
+#include <cctype>
+#include <iterator>
+#include <tuple>
+
+#include <fmt/ranges.h>
+
+#include <relidar/base/arrays.hpp>
+
+#include "base/fail.hpp"
+#include "base/files.hpp"
+#include "read/files/other_formats.hpp"
+#include "read/scans/point_times.hpp"
+
+namespace relidar::read {
+namespace {
+
+namespace fs = std::filesystem;
+
+constexpr std::size_t kMostPoints = std::size_t(1) << 24;  // maximum number of points of a scan
+
+struct PointFieldName {
+    std::string_view name;
+    PointAttribute value;
+};
+/// Field names in lower case. The first name that a file has wins.
+constexpr PointFieldName kFieldNames[] = {
+    {"x", PointAttribute::x},
+    {"y", PointAttribute::y},
+    {"z", PointAttribute::z},
+    {"intensity", PointAttribute::intensity},
+    {"intensities", PointAttribute::intensity},
+    {"i", PointAttribute::intensity},
+    {"reflectivity", PointAttribute::intensity},
+    {"reflectance", PointAttribute::intensity},
+    {"remission", PointAttribute::intensity},
+    {"amplitude", PointAttribute::intensity},
+    {"signal", PointAttribute::intensity},
+    {"ring", PointAttribute::ring},
+    {"rings", PointAttribute::ring},
+    {"channel", PointAttribute::ring},
+    {"line", PointAttribute::ring},
+    {"ring_id", PointAttribute::ring},
+    {"laser_id", PointAttribute::ring},
+    {"laser_number", PointAttribute::ring},
+    {"beam", PointAttribute::ring},
+    {"beam_id", PointAttribute::ring},
+    {"time", PointAttribute::time},
+    {"t", PointAttribute::time},
+    {"timestamp", PointAttribute::time},
+    {"time_stamp", PointAttribute::time},
+    {"offset_time", PointAttribute::time},
+    {"return", PointAttribute::return_number},
+    {"return_number", PointAttribute::return_number},
+    {"return_type", PointAttribute::return_type},
+    {"range", PointAttribute::range},
+    {"distance", PointAttribute::range},
+};
+constexpr std::size_t kNotRead = std::size(kFieldNames);
+
+constexpr std::string_view kPrefixes[] = {"scalar_",     "points_", "point_", "position_", "pos_",
+                                          "coordinate_", "coord_",  "xyz_",   "vertex_",   "lidar_"};
+
+std::size_t find_exact_field_index(std::string_view field_name) {
+    const auto* const row = std::ranges::find(kFieldNames, field_name, &PointFieldName::name);
+    return std::size_t(row - std::begin(kFieldNames));
+}
+
+/// Returns kNotRead for unknown fields. Ignores upper case, and prefixes from kPrefixes.
+std::size_t find_field_index_ignoring_case(std::string_view field_name) {
+    std::string name(trim_blanks_at_both_ends(field_name));
+    std::ranges::transform(name, name.begin(),
+                           [](unsigned char character) { return char(std::tolower(character)); });
+    // VeloView and ParaView store x, y and z as elements 0, 1 and 2 of a vector:
+    // "points:0".
+    for (const char axis : {'0', '1', '2'})
+        if (name.starts_with("points") && name.ends_with(std::string(":") + axis))
+            return std::size_t(axis - '0');
+    std::string_view rest = name;
+    rest.remove_prefix(std::min(rest.find_last_of("./:") + 1, rest.size()));
+    for (const std::string_view prefix : kPrefixes)
+        if (rest.starts_with(prefix) && find_exact_field_index(rest) == kNotRead)
+            rest.remove_prefix(prefix.size());
+    return find_exact_field_index(rest);
+}
+
+struct ScalarTypeEntry {
+    char kind;
+    std::size_t size;
+    ScalarType type;
+    std::string_view numpy;  ///< code of the number type in .npy files, for example "f4"
+};
+constexpr ScalarTypeEntry kNumberTypes[] = {{'F', 4, ScalarType::f4, "f4"}, {'F', 8, ScalarType::f8, "f8"},
+                                            {'I', 1, ScalarType::i1, "i1"}, {'I', 2, ScalarType::i2, "i2"},
+                                            {'I', 4, ScalarType::i4, "i4"}, {'I', 8, ScalarType::i8, "i8"},
+                                            {'U', 1, ScalarType::u1, "u1"}, {'U', 2, ScalarType::u2, "u2"},
+                                            {'U', 4, ScalarType::u4, "u4"}, {'U', 8, ScalarType::u8, "u8"}};
+
+ScalarType get_field_number_type(const PointField& field, const std::string& where) {
+    for (const ScalarTypeEntry& row : kNumberTypes)
+        if (row.kind == field.kind && row.size == field.size) return row.type;
+    fail("{}: the field '{}' has the type {}{}, expected F4, F8, or I or U with 1, 2, 4 or 8 bytes", where,
+         shorten_for_error_message(field.name), shorten_for_error_message(std::string(1, field.kind)),
+         field.size);
+}
+
+/// Returns true for points of an HDL-32E as the dataset NCLT stores them. The number of
+/// the laser is the highest byte of the second float32 otherwise.
+bool is_nclt_packed_file(std::string_view bytes) {
+    constexpr std::size_t kRecord = 8, kMostLasers = 32, kMostTested = 1000;
+    const std::size_t n = std::min(bytes.size() / kRecord, kMostTested);
+    std::size_t n_not_zero = 0;
+    for (std::size_t i = 0; i < n; ++i) {
+        const auto laser = static_cast<unsigned char>(bytes[i * kRecord + 7]);
+        if (laser >= kMostLasers) return false;
+        n_not_zero += laser > 0;
+    }
+    return bytes.size() % kRecord == 0 && 2 * n_not_zero > n;
+}
+
+PointTable read_float32_points(const fs::path& bin_file, const std::vector<std::string>& column_names) {
+    const SharedBytes data = make_shared_bytes(read_file(bin_file));
+    const std::size_t n_bytes = data.bytes.size();
+    std::vector<PointField> fields;
+    for (const std::string& column : column_names) fields.push_back({column, 'F', sizeof(float)});
+    if (is_nclt_packed_file(data.bytes))
+        fail(
+            "{}: found points of NCLT (uint16 x, y, z, uint8 intensity, laser), expected float32; convert x, "
+            "y, z to metres (value * 0.005 - 100), negate y and z, and set \"columns\": [\"x\", \"y\", "
+            "\"z\", \"intensity\", "
+            "\"ring\"]",
+            bin_file.string());
+    const std::size_t record = fields.size() * sizeof(float);
+    if (n_bytes % record != 0)
+        fail(
+            "{}: found {} bytes, expected a multiple of {} bytes: {} float32 values (\"columns\" in "
+            "sequence.json)",
+            bin_file.string(), n_bytes, record, fields.size());
+    PointTable table = make_table_of_binary_points(data, fields, n_bytes / record,
+                                                   PointMemoryLayout::by_point, bin_file.string());
+    // When sequence.json was read, the user got a note about unread columns.
+    table.unread.clear();
+    return table;
+}
+
+/// Adds those columns of an array [points, columns] that relidar reads.
+void add_array_columns(PointTable& table, NamedArray array, const std::vector<std::string>& column_names,
+                       const std::string& where) {
+    const auto* type_row = std::ranges::find(kNumberTypes, array.dtype, &ScalarTypeEntry::numpy);
+    if (type_row == std::end(kNumberTypes) ||
+        array.bytes.size() != array.count_array_elements() * type_row->size) {
+        const std::vector<double> values = array.convert_to_doubles();
+        array = make_array(array.name, array.shape, values.data(), values.size());
+        type_row = std::ranges::find(kNumberTypes, ScalarType::f8, &ScalarTypeEntry::type);
+    }
+    const auto memory = std::make_shared<const std::vector<std::byte>>(std::move(array.bytes));
+    table.keep_memory_alive(memory);
+    const auto* first = reinterpret_cast<const char*>(memory->data());
+    for (std::size_t c = 0; c < column_names.size(); ++c)
+        if (is_known_point_field(column_names[c]))
+            table.add_value_field(
+                column_names[c],
+                {type_row->type, first + c * type_row->size, column_names.size() * type_row->size}, where);
+}
+
+PointTable make_table_of_array(NamedArray array, const std::vector<std::string>& column_names,
+                               const std::string& where) {
+    if (array.shape.size() != 2 || array.shape[1] != column_names.size())
+        fail(
+            "{}: found an array of {} dimensions{}, expected the shape [points, {}] with the columns {}; set "
+            "\"columns\" in sequence.json to the columns of the array",
+            where, array.shape.size(),
+            array.shape.empty() ? "" : fmt::format(", whose last dimension is {}", array.shape.back()),
+            column_names.size(), fmt::join(column_names, ", "));
+    require_valid_point_count(array.shape[0], where);
+    PointTable table(array.shape[0]);
+    add_array_columns(table, std::move(array), column_names, where);
+    return table;
+}
+
+PointTable read_npy_points(const fs::path& file, const std::vector<std::string>& column_names) {
+    if (const SharedBytes bytes = make_shared_bytes(read_file(file)); is_structured_npy(bytes.bytes))
+        return parse_structured_npy_points(bytes, file.string());
+    return make_table_of_array(read_npy(file), column_names, file.string());
+}
+
+const NamedArray* find_point_array(const std::vector<NamedArray>& arrays) {
+    for (const char* name : {"points", "xyz", "point_cloud", "pointcloud", "arr_0"})
+        if (const NamedArray* array = find_array(arrays, name); array && array->shape.size() >= 2)
+            return array;
+    return nullptr;
+}
+
+/// Reads an array "points" whose last dimension is the columns, and further arrays with a
+/// value per point.
+PointTable read_npz_points(const fs::path& file, const std::vector<std::string>& column_names) {
+    const std::vector<NamedArray> arrays = read_npz(file);
+    const NamedArray* found = find_point_array(arrays);
+    if (!found) fail("{}: the array 'points' is missing, expected it in every scan file", file.string());
+    NamedArray points = *found;
+    const std::size_t width = points.shape.back();
+    points.shape = {width == 0 ? 0 : points.count_array_elements() / width, width};
+    std::vector<std::string> columns = column_names;
+    if (columns.empty()) columns = {"x", "y", "z", "intensity"};
+    if (column_names.empty() && width == 3) columns.pop_back();
+    PointTable table = make_table_of_array(std::move(points), columns, file.string());
+    for (const NamedArray& array : arrays)
+        if (&array != found && is_known_point_field(array.name) && !table.find_field(array.name) &&
+            array.count_array_elements() == table.n)
+            add_array_columns(table, array, {array.name}, file.string());
+    return table;
+}
+
+}  // namespace
+
+std::optional<PointAttribute> find_attribute_of_field_name(std::string_view field_name) {
+    const std::size_t row = find_field_index_ignoring_case(field_name);
+    return row == kNotRead ? std::nullopt : std::optional(kFieldNames[row].value);
+}
+
+std::vector<std::string> PointTable::list_fields_with_attribute(PointAttribute attribute) const {
+    // row in the table of known names; true if the case differs from the known name; name
+    std::vector<std::tuple<std::size_t, bool, std::string>> ranked;
+    for (const auto& [name, values] : fields_) {
+        const std::size_t row = find_field_index_ignoring_case(name);
+        if (row != kNotRead && kFieldNames[row].value == attribute)
+            ranked.emplace_back(row, name != kFieldNames[row].name, name);
+    }
+    std::ranges::sort(ranked);
+    std::vector<std::string> names;
+    for (auto& [row, is_other, name] : ranked) names.push_back(std::move(name));
+    return names;
+}
+
+void require_valid_point_count(std::size_t n_points, const std::string& where) {
+    if (n_points == 0 || n_points > kMostPoints)
+        fail("{}: found {} points, expected 1 to {}", where, n_points, kMostPoints);
+}
+
+const PointFieldView* PointTable::find_field(const std::string& field_name) const {
+    const auto at = fields_.find(field_name);
+    return at == fields_.end() ? nullptr : &at->second;
+}
+
+const PointFieldView* PointTable::find_field(PointAttribute attribute) const {
+    const std::vector<std::string> all = list_fields_with_attribute(attribute);
+    return all.empty() ? nullptr : find_field(all[0]);
+}
+
+void PointTable::add_value_field(const std::string& field_name, const PointFieldView& values,
+                                 const std::string& where) {
+    if (!fields_.emplace(field_name, values).second)
+        fail("{}: the field '{}' occurs twice, expected it once", where, field_name);
+}
+
+void PointTable::remove_fields_with_attribute(PointAttribute attribute) {
+    std::erase_if(fields_,
+                  [&](const auto& field) { return find_attribute_of_field_name(field.first) == attribute; });
+}
+
+PointTable make_table_of_binary_points(const SharedBytes& data, const std::vector<PointField>& fields,
+                                       std::size_t n_points, PointMemoryLayout memory_layout,
+                                       const std::string& where) {
+    require_valid_point_count(n_points, where);
+    std::size_t record = 0;
+    for (const PointField& field : fields) {
+        if (field.size == 0 || field.count == 0)
+            fail("{}: field '{}' has no values, expected at least one per point", where,
+                 shorten_for_error_message(field.name));
+        record += field.size * field.count;
+    }
+    if (data.bytes.size() / n_points < record)
+        fail("{}: the file is truncated: found {} bytes of points, expected {} points of {} bytes", where,
+             data.bytes.size(), n_points, record);
+    PointTable table(n_points);
+    table.keep_memory_alive(data.memory);
+    std::size_t before = 0;  // number of bytes of the previous fields in a point
+    for (const PointField& field : fields) {
+        const std::size_t width = field.size * field.count;
+        if (is_known_point_field(field.name)) {
+            const char* first = data.bytes.data() +
+                                (memory_layout == PointMemoryLayout::by_point ? before : before * n_points);
+            table.add_value_field(field.name,
+                                  {get_field_number_type(field, where), first,
+                                   memory_layout == PointMemoryLayout::by_point ? record : width},
+                                  where);
+        } else if (field.name != kPadding) {
+            table.unread.push_back(field.name);
+        }
+        before += width;
+    }
+    return table;
+}
+
+std::vector<std::string> split_words(std::string_view line) {
+    std::vector<std::string> words;
+    for (line = trim_blanks_at_both_ends(line); !line.empty(); line = trim_blanks_at_both_ends(line)) {
+        const std::size_t end = std::min(line.find_first_of(" \t"), line.size());
+        words.emplace_back(line.substr(0, end));
+        line.remove_prefix(end);
+    }
+    return words;
+}
+
+PointTable parse_point_lines(std::string_view text, const std::vector<PointField>& fields,
+                             std::size_t n_points, const std::string& where) {
+    require_valid_point_count(n_points, where);
+    if (n_points > text.size())
+        fail("{}: the file is truncated: found {} bytes of text, expected {} points", where, text.size(),
+             n_points);
+    struct Column {
+        std::size_t index_in_line;  ///< index in the line
+        const std::string& name;
+        std::vector<double> values;
+    };
+    std::vector<Column> point_columns;
+    std::size_t width = 0;
+    for (const PointField& field : fields) {
+        if (is_known_point_field(field.name))
+            point_columns.push_back({width, field.name, std::vector<double>(n_points)});
+        width += field.count;
+    }
+    for (std::size_t i = 0; i < n_points; ++i) {
+        const std::size_t end = std::min(text.find('\n'), text.size());
+        const auto numbers = parse_numbers(text.substr(0, end));
+        if (!numbers || numbers->size() != width)
+            fail("{}: point {} is '{}', expected {} numbers", where, i,
+                 shorten_for_error_message(text.substr(0, end)), width);
+        for (Column& column : point_columns) column.values[i] = (*numbers)[column.index_in_line];
+        text.remove_prefix(std::min(end + 1, text.size()));
+    }
+    PointTable table(n_points);
+    for (const PointField& field : fields)
+        if (!is_known_point_field(field.name) && field.name != kPadding) table.unread.push_back(field.name);
+    for (Column& column : point_columns)
+        table.add_value_field(column.name, ScalarType::f8, std::move(column.values), where);
+    return table;
+}
+
+bool is_point_file(const fs::path& file) {
+    const std::string ending = file.extension().string();
+    return ending == ".pcd" || ending == ".ply" || ending == ".bin" || ending == ".npy" || ending == ".csv" ||
+           ending == ".xyz" || ending == ".las";
+}
+
+bool is_image_file(const fs::path& file) { return file.extension() == ".npz" || file.extension() == ".exr"; }
+
+namespace {
+
+PointTable read_point_file_with_header(const fs::path& file,
+                                       PointTable (*parse_points)(const SharedBytes& bytes,
+                                                                  const std::string& where)) {
+    const SharedBytes bytes = make_shared_bytes(read_text_file(file));
+    PointTable table = parse_points(bytes, file.string());
+    // relidar writes one of two texts with "points_in" if points are motion-compensated
+    // or in the world frame.
+    constexpr std::size_t kHeader = 4096;  // number of bytes at the start of the file that are searched
+    const std::string_view header = bytes.bytes.substr(0, kHeader);
+    table.is_deskewed = header.find(" points_in sensor at time_s") != header.npos ||
+                        header.find(" points_in world") != header.npos;
+    return table;
+}
+
+}  // namespace
+
+bool has_npz_points(const std::vector<fs::path>& scan_files) {
+    const auto file = std::ranges::find(scan_files, ".npz", [](const fs::path& f) { return f.extension(); });
+    std::vector<NamedArray> arrays;
+    try {
+        if (file != scan_files.end()) arrays = read_npz(*file);
+    } catch (const DataError&) {
+        return false;  // the error is reported when the scan is read
+    }
+    if (arrays.empty() || find_array(arrays, "range")) return false;
+    if (find_point_array(arrays)) return true;
+    std::vector<std::string> names;
+    for (const NamedArray& array : arrays) names.push_back(array.name);
+    fail("{}: found the arrays {}; expected 'range' and 'directions' (rays), or 'points'", file->string(),
+         fmt::join(names, ", "));
+}
+
+PointTable read_point_file(const fs::path& file, const std::vector<std::string>& column_names) {
+    static const std::vector<std::string> kKitti = {"x", "y", "z", "intensity"};
+    const std::string ending = file.extension().string();
+    if (ending == ".bin") return read_float32_points(file, column_names.empty() ? kKitti : column_names);
+    if (ending == ".npy") return read_npy_points(file, column_names.empty() ? kKitti : column_names);
+    if (ending == ".npz") return read_npz_points(file, column_names);
+    if (ending == ".pcd") return read_point_file_with_header(file, parse_pcd_points);
+    if (ending == ".ply") return read_point_file_with_header(file, parse_ply_points);
+    if (ending == ".las") return parse_las_points(make_shared_bytes(read_file(file)), file.string());
+    if (ending == ".csv" || ending == ".xyz")
+        return parse_text_points(make_shared_bytes(read_file(file)), column_names, file.string());
+    if (const std::string other = describe_unsupported_format(file); !other.empty())
+        fail("{}: {}", file.string(), other);
+    fail("{}: found a file '{}', expected .npz, .exr, .pcd, .ply, .bin, .npy, .las, .csv or .xyz",
+         file.string(), shorten_for_error_message(ending));
+}
+
+}  // namespace relidar::read

@@ -1,0 +1,141 @@
+// SPDX-License-Identifier: Apache-2.0
+// Reads the scans of a KITTI raw drive, which are n x float32 {x, y, z, reflectance}. If
+// a folder is not a KITTI raw drive, describes what it probably is.
+#include "read/kitti/log_files.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <cstring>
+
+#include "base/fail.hpp"
+#include "base/files.hpp"
+#include "log/classes/dataset_classes.hpp"
+#include "read/scans/dropped_ray.hpp"
+
+namespace relidar::kitti {
+namespace fs = std::filesystem;
+namespace {
+
+// A larger range means that the file has another number type or byte order.
+constexpr double kFarthestReturn_m = 1e4;
+
+std::vector<SurfaceClass> read_semantic_kitti_classes(const fs::path& label_file, std::size_t n_points) {
+    const std::string bytes = read_file(label_file);
+    if (bytes.size() != 4 * n_points)
+        fail("file {} has {} bytes, expected 4 bytes for each of the {} points of the scan",
+             label_file.string(), bytes.size(), n_points);
+    std::vector<SurfaceClass> classes;
+    for (std::size_t i = 0; i < n_points; ++i) {
+        std::uint32_t label;
+        std::memcpy(&label, bytes.data() + 4 * i, sizeof label);
+        classes.push_back(convert_semantic_kitti_label(int(label & 0xFFFFu)));
+    }
+    return classes;
+}
+
+}  // namespace
+
+std::string describe_mistaken_kitti_folder(const fs::path& folder, const std::string& expected_subfolder) {
+    std::error_code failed;
+    const auto has = [&](const char* name) { return fs::exists(folder / name, failed); };
+    if ((has("velodyne") && (has("times.txt") || has("calib.txt"))) || has("sequences"))
+        return "the folder is a KITTI odometry sequence with motion-compensated scans; expected also its "
+               "file calib.txt, or the KITTI raw drive from which the sequence was made";
+    for (fs::path up = fs::canonical(folder, failed).parent_path(); !failed && up.has_relative_path();
+         up = up.parent_path()) {
+        if (fs::exists(up / expected_subfolder, failed))
+            return fmt::format("the folder is inside a dataset; use the folder of the dataset, {}",
+                               up.string());
+    }
+    std::string first;
+    std::size_t n = 0;
+    for (fs::directory_iterator entry(folder, failed), end; !failed && entry != end;
+         entry.increment(failed)) {
+        if (!fs::exists(entry->path() / expected_subfolder, failed)) continue;
+        const std::string name = entry->path().filename().string();
+        if (n++ == 0 || name < first) first = name;
+    }
+    return n == 0 ? ""
+                  : fmt::format("the folder contains {} dataset{}; use the folder of one of them, such as {}",
+                                n, n == 1 ? "" : "s", (folder / first).string());
+}
+
+std::string describe_or_reject_missing_scan_files(const fs::path& folder,
+                                                  const std::vector<int>& frame_numbers, bool allow_missing) {
+    constexpr std::size_t kShown = 5;
+    const std::size_t n =
+        std::size_t(frame_numbers.back() - frame_numbers.front() + 1) - frame_numbers.size();
+    if (n == 0) return "";
+    std::vector<int> shown;
+    for (std::size_t i = 1; i < frame_numbers.size(); ++i) {
+        for (int frame = frame_numbers[i - 1] + 1; frame < frame_numbers[i] && shown.size() < kShown; ++frame)
+            shown.push_back(frame);
+    }
+    const std::string gaps =
+        fmt::format("{} of the scans with numbers {} to {} are missing ({}{})", n, frame_numbers.front(),
+                    frame_numbers.back(), fmt::join(shown, ", "), n > kShown ? ", ..." : "");
+    if (!allow_missing) fail("{}: {}, expected one file for each scan number", folder.string(), gaps);
+    return gaps;
+}
+
+std::vector<int> list_scan_numbers(const fs::path& folder, int begin_number, int end_number) {
+    require_existing_folder(folder, "KITTI raw scans with names like 0000000000.bin");
+    std::vector<int> all, frames;
+    bool text_scans = false;
+    for (const fs::path& file : list_folder_entries(folder)) {
+        const auto number = parse_file_stem_as_number(file.stem().string());
+        if (file.extension() == ".bin" && number) all.push_back(*number);
+        else if (file.extension() == ".bin" &&
+                 file.stem().string().find_first_not_of("0123456789") == std::string::npos)
+            fail("{}: the number of a scan is too large, expected a number below 100000000", file.string());
+        text_scans = text_scans || file.extension() == ".txt";
+    }
+    if (all.empty() && text_scans)
+        fail("{}: found text files of an unsynced drive (_extract), expected the synced drive (_sync)",
+             folder.string());
+    if (all.empty()) fail("{}: no scans were found, expected files like 0000000000.bin", folder.string());
+    std::sort(all.begin(), all.end());
+    std::copy_if(all.begin(), all.end(), std::back_inserter(frames),
+                 [&](int f) { return f >= begin_number && (end_number < 0 || f < end_number); });
+    if (frames.empty()) {
+        fail<UsageError>("frames {}:{} select no scan of {}, expected numbers in [{}, {}]", begin_number,
+                         end_number < 0 ? "" : std::to_string(end_number), folder.string(), all.front(),
+                         all.back());
+    }
+    return frames;
+}
+
+ScanPoints read_kitti_scan_points(const fs::path& scan_file, const fs::path& label_file) {
+    const std::string bytes = read_file(scan_file);
+    static_assert(sizeof(glm::vec4) == 16);
+    if (bytes.empty())
+        fail("{}: the file is empty, expected at least one point of 16 bytes", scan_file.string());
+    if (bytes.size() % 16 != 0) {
+        fail("{}: the file is truncated: it has {} bytes, which are {} points of 16 bytes and {} more bytes",
+             scan_file.string(), bytes.size(), bytes.size() / 16, bytes.size() % 16);
+    }
+    ScanPoints scan;
+    std::vector<glm::vec4>& points = scan.points;
+    points.resize(bytes.size() / 16);
+    std::memcpy(points.data(), bytes.data(), bytes.size());
+    for (std::size_t i = 0; i < points.size(); ++i) {
+        const glm::vec4& p = points[i];
+        const double largest = std::max({std::abs(p.x), std::abs(p.y), std::abs(p.z)});
+        if (!is_valid_return_point(p) || (std::isfinite(p.w) && largest <= kFarthestReturn_m)) continue;
+        fail("{}: point {} is ({}, {}, {}) with intensity {}, expected finite values up to {} m",
+             scan_file.string(), i, p.x, p.y, p.z, p.w, kFarthestReturn_m);
+    }
+    if (!label_file.empty() && does_path_exist(label_file))
+        scan.classes = read_semantic_kitti_classes(label_file, points.size());
+    std::size_t n = 0;
+    for (std::size_t i = 0; i < points.size(); ++i) {
+        if (!is_valid_return_point(points[i])) continue;
+        if (!scan.classes.empty()) scan.classes[n] = scan.classes[i];
+        points[n++] = points[i];
+    }
+    points.resize(n);
+    if (!scan.classes.empty()) scan.classes.resize(n);
+    return scan;
+}
+
+}  // namespace relidar::kitti

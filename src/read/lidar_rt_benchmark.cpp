@@ -1,0 +1,27 @@
+// SPDX-License-Identifier: Apache-2.0
+// Converts a sequence name of the LiDAR-RT paper to a drive and a range of frames.
+#include "read/lidar_rt_benchmark.hpp"
+
+#include <algorithm>
+
+#include "base/fail.hpp"
+
+namespace relidar {
+
+RequestedDriveFrames find_requested_drive_and_frames(const DatasetOptions& options,
+                                                     std::span<const BenchmarkSequence> benchmark_sequences) {
+    const auto part = std::find_if(benchmark_sequences.begin(), benchmark_sequences.end(),
+                                   [&](const BenchmarkSequence& p) { return options.sequence == p.name; });
+    if (part == benchmark_sequences.end()) return {options.sequence, options.frames};
+    const int begin = std::max(options.frames.begin, part->first);
+    const int end = options.frames.end < 0 ? part->last + 1 : std::min(options.frames.end, part->last + 1);
+    if (begin >= end)
+        fail<UsageError>("frames {}:{} contain no frame of {}, which has the frames {} to {}",
+                         options.frames.begin, options.frames.end, part->name, part->first, part->last);
+    std::vector<int> test_frames;
+    for (int k = 0, frame = part->test_first; k < kBenchmarkTestFrames; ++k, frame += part->test_every)
+        if (frame >= begin && frame < end) test_frames.push_back(frame);
+    return {part->drive, {begin, end}, true, test_frames};
+}
+
+}  // namespace relidar

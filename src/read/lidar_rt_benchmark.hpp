@@ -1,0 +1,53 @@
+// SPDX-License-Identifier: Apache-2.0
+// Lists the sequences of KITTI-360 and Waymo on which the LiDAR-RT paper evaluates. The
+// names are from the supplementary tables of the paper.
+#pragma once
+
+#include <span>
+#include <string>
+#include <vector>
+
+#include <relidar/read/dataset.hpp>
+
+namespace relidar {
+
+struct BenchmarkSequence {
+    const char* name;
+    const char* drive;  ///< part of the drive's name in the dataset that is unique
+    int first, last;    ///< first and last frame
+    /// Test frames of the LiDAR-RT paper: test_first, test_first + test_every, and so on.
+    int test_first, test_every;
+};
+inline constexpr int kBenchmarkTestFrames = 4;
+
+inline constexpr BenchmarkSequence kKitti360Benchmark[] = {
+    {"ks1", "0000", 1538, 1601, 1551, 13},    {"ks2", "0000", 1728, 1791, 1741, 13},
+    {"ks3", "0000", 1908, 1971, 1921, 13},    {"ks4", "0000", 3353, 3415, 3366, 13},
+    {"kd1", "0000", 2351, 2400, 2360, 10},    {"kd2", "0000", 4951, 5000, 4960, 10},
+    {"kd3", "0000", 8121, 8170, 8130, 10},    {"kd4", "0000", 10201, 10250, 10210, 10},
+    {"kd5", "0000", 10751, 10800, 10760, 10}, {"kd6", "0000", 11401, 11450, 11410, 10},
+};
+inline constexpr BenchmarkSequence kWaymoBenchmark[] = {
+    {"ws1", "113792", 1, 50, 10, 10},     {"ws2", "106762", 1, 50, 10, 10},
+    {"ws3", "177619", 1, 50, 10, 10},     {"ws4", "117240", 1, 50, 10, 10},
+    {"wd1", "108305", 148, 197, 157, 10}, {"wd2", "132712", 51, 100, 60, 10},
+    {"wd3", "100721", 1, 50, 10, 10},     {"wd4", "105003", 148, 197, 157, 10},
+};
+
+struct RequestedDriveFrames {
+    /// Name of a drive (a recording of the dataset), or a unique part of it.
+    std::string drive;
+    /// Range of frames, limited to the sequence of the LiDAR-RT paper if the user named
+    /// one.
+    FrameRange frames;
+    bool is_benchmark = false;
+    /// Test frames of the LiDAR-RT paper in `frames`. Empty if the user named no
+    /// sequence.
+    std::vector<int> test_frames = {};
+};
+/// options.sequence is the name of a drive, or of a sequence of the LiDAR-RT paper.
+/// @throws UsageError if this sequence contains none of the requested frames
+RequestedDriveFrames find_requested_drive_and_frames(const DatasetOptions& options,
+                                                     std::span<const BenchmarkSequence> benchmark_sequences);
+
+}  // namespace relidar

@@ -1,0 +1,155 @@
+// SPDX-License-Identifier: Apache-2.0
+// Groups the rays of a scan by firing (all lasers at one azimuth), because a packet
+// stores complete firings. In a range image, firing f of a beam is stored in the column f
+// - compute_beam_azimuth_offset_columns(beam).
+#include <algorithm>
+#include <cmath>
+
+#include <relidar/base/math.hpp>
+
+#include "base/fail.hpp"
+#include "read/packets/packet_format.hpp"
+#include "log/sensor/beam_geometry.hpp"
+
+namespace relidar::packets {
+namespace {
+
+constexpr double kMinRevolutionFraction = 0.05;  // minimum part of a turn that a scan must cover
+constexpr double kSameFiring_us = 1.0;
+constexpr double kFar_m = 1e4;  // distance at which the direction of a ray without a return is computed
+
+/// Finds the ray of each ring in a firing of a scan.
+class FiringRayTable {
+public:
+    FiringRayTable(const Scan& scan, const SpinningSensor& sensor) : columns_(scan.rays.columns) {
+        if (scan.rays.rows != int(sensor.beams.size()) || columns_ < 1)
+            fail<UsageError>(
+                "cannot write packets of {}: the scan has {} rows, expected one row for each of the {} beams",
+                sensor.name, scan.rays.rows, sensor.beams.size());
+        for (const Beam& beam : sensor.beams)
+            shift_.push_back(compute_beam_azimuth_offset_columns(beam, columns_));
+    }
+    std::size_t n_rings() const { return shift_.size(); }
+    int n_firings() const { return columns_; }
+    std::size_t get_ray_index(std::size_t ring, int firing) const {
+        const int column = ((firing - shift_[ring]) % columns_ + columns_) % columns_;
+        return ring * std::size_t(columns_) + std::size_t(column);
+    }
+
+private:
+    int columns_;
+    std::vector<int> shift_;
+};
+
+/// Returns the difference between the latest and the earliest time in each firing after
+/// subtracting `beam_delays_us`, summed over all firings. 0: the delays fit perfectly.
+double compute_firing_time_spread_us(const Scan& scan, const FiringRayTable& firing_rays,
+                                     const std::vector<double>& beam_delays_us) {
+    double sum_us = 0.0;
+    for (int firing = 0; firing < firing_rays.n_firings(); ++firing) {
+        double first = INFINITY, last = -INFINITY;
+        for (std::size_t ring = 0; ring < firing_rays.n_rings(); ++ring) {
+            const std::size_t ray = firing_rays.get_ray_index(ring, firing);
+            if (scan.range_m[ray] <= 0.0f) continue;
+            const double time_us = 1e6 * double(scan.rays.time_offset_s[ray]) - beam_delays_us[ring];
+            first = std::min(first, time_us);
+            last = std::max(last, time_us);
+        }
+        if (last > first) sum_us += last - first;
+    }
+    return sum_us;
+}
+
+/// Computes time and azimuth of a firing as the mean over its rays. Uses only rays with a
+/// return, because their directions are measured. Uses all rays if none has a return.
+FiringColumn make_firing_from_rays(const Scan& scan, const FiringRayTable& firing_rays, int firing_index,
+                                   const std::vector<BeamRayGenerator>& beams,
+                                   const std::vector<double>& beam_delays_us) {
+    FiringColumn column{.is_measured = true, .returns = {}};
+    column.returns.resize(firing_rays.n_rings());
+    std::size_t n_returned = 0, n_used = 0;
+    for (std::size_t ring = 0; ring < firing_rays.n_rings(); ++ring) {
+        const std::size_t ray = firing_rays.get_ray_index(ring, firing_index);
+        auto& [first, second] = column.returns[ring];
+        first = {scan.range_m[ray], scan.intensity[ray]};
+        if (!scan.second_returns.empty())
+            second = {scan.second_returns[0].range_m[ray], scan.second_returns[0].intensity[ray]};
+        n_returned += first.range_m > 0.0f;
+    }
+    double east = 0.0, north = 0.0;
+    for (std::size_t ring = 0; ring < firing_rays.n_rings(); ++ring) {
+        const std::size_t ray = firing_rays.get_ray_index(ring, firing_index);
+        const double range_m = n_returned > 0 ? double(scan.range_m[ray]) : kFar_m;
+        if (range_m <= 0.0) continue;
+        const double head = beams[ring].compute_head_azimuth(glm::dvec3(scan.rays.origin[ray]) +
+                                                             glm::dvec3(scan.rays.direction[ray]) * range_m);
+        east += std::cos(head);
+        north += std::sin(head);
+        column.time_s += double(scan.rays.time_offset_s[ray]) - 1e-6 * beam_delays_us[ring];
+        ++n_used;
+    }
+    column.has_returns = n_returned > 0;
+    column.time_s /= double(std::max<std::size_t>(n_used, 1));
+    column.azimuth_deg = std::fmod(360.0 - std::atan2(north, east) * 180.0 / kPi, 360.0);
+    return column;
+}
+
+/// A log has no measured times of firings without returns. Uses the nearest firing with a
+/// return, and the rotation of the head between the two.
+void correct_times_of_empty_firings(std::vector<FiringColumn>& firings, double rotation_period_s) {
+    std::vector<std::ptrdiff_t> lit;  // firings with returns
+    for (std::size_t i = 0; i < firings.size(); ++i)
+        if (firings[i].has_returns) lit.push_back(std::ptrdiff_t(i));
+    if (lit.empty()) return;
+    for (std::ptrdiff_t i = 0; i < std::ssize(firings); ++i) {
+        FiringColumn& column = firings[std::size_t(i)];
+        if (column.has_returns) continue;
+        const auto right = std::ranges::upper_bound(lit, i);
+        const bool is_right = right == lit.begin() || (right != lit.end() && *right - i < i - *(right - 1));
+        const FiringColumn& nearest_column = firings[std::size_t(is_right ? *right : *(right - 1))];
+        double turned_deg = std::fmod(column.azimuth_deg - nearest_column.azimuth_deg + 720.0, 360.0);
+        if (is_right) turned_deg -= 360.0;
+        column.time_s = nearest_column.time_s + turned_deg / 360.0 * rotation_period_s;
+    }
+}
+
+}  // namespace
+
+std::vector<FiringColumn> extract_firings(const Scan& scan, double scan_time_s, const SpinningSensor& sensor,
+                                          const std::vector<double>& beam_delays_us) {
+    const FiringRayTable image(scan, sensor);
+    const auto [first, last] = std::ranges::minmax(scan.rays.time_offset_s);
+    if (!(double(last - first) > kMinRevolutionFraction * sensor.period_s))
+        fail<UsageError>(
+            "cannot write packets of {}: the rays of a scan were fired within {:.3g} s, expected {:.3g} s; "
+            "motion-compensated scans have no firing times",
+            sensor.name, last - first, sensor.period_s);
+    // In a recorded scan, ray times include the firing delay of each laser. In a rendered
+    // scan, all lasers fire simultaneously. Uses what fits this scan better.
+    const std::vector<double> no_offset(beam_delays_us.size(), 0.0);
+    const bool has_laser_times = compute_firing_time_spread_us(scan, image, beam_delays_us) <
+                                 compute_firing_time_spread_us(scan, image, no_offset);
+    const std::vector<BeamRayGenerator> beams = make_beam_ray_generators(sensor.beams);
+    std::vector<FiringColumn> columns;
+    for (int firing = 0; firing < image.n_firings(); ++firing)
+        columns.push_back(
+            make_firing_from_rays(scan, image, firing, beams, has_laser_times ? beam_delays_us : no_offset));
+    if (has_laser_times) correct_times_of_empty_firings(columns, sensor.period_s);
+    // Sorts firings by the rotation angle of the head. Times in a log are not exact, so
+    // they only decide in which turn a firing is.
+    const FiringColumn middle = columns[columns.size() / 2];
+    const auto turns_since_middle = [&](const FiringColumn& column) {
+        const double turned = (column.azimuth_deg - middle.azimuth_deg) / 360.0;
+        return turned + std::round((column.time_s - middle.time_s) / sensor.period_s - turned);
+    };
+    std::ranges::stable_sort(columns, {}, turns_since_middle);
+    // A log may contain the same firing in two columns. Removes the second copy.
+    const auto repeats = std::ranges::unique(columns, [](const FiringColumn& a, const FiringColumn& b) {
+        return 1e6 * std::abs(a.time_s - b.time_s) < kSameFiring_us;
+    });
+    columns.erase(repeats.begin(), repeats.end());
+    for (FiringColumn& column : columns) column.time_s += scan_time_s;
+    return columns;
+}
+
+}  // namespace relidar::packets

@@ -1,0 +1,223 @@
+// SPDX-License-Identifier: Apache-2.0
+// Builds the scan of a revolution from its packets.
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <map>
+#include <utility>
+#include <vector>
+
+#include "base/fail.hpp"
+#include "read/scans/arrange_firings.hpp"
+#include "read/packets/packet_log.hpp"
+#include "log/sensor/beam_geometry.hpp"
+
+namespace relidar::packets {
+struct RevolutionPoints {
+    LidarPoints points;
+    std::vector<int> numbers;        ///< [points] number of the firing that measured the point
+    std::map<int, double> head_rad;  ///< azimuth of each received firing, by its number
+};
+
+namespace {
+
+/// Azimuth, time and number of a firing (all lasers at one azimuth).
+struct FiringInstant {
+    double azimuth_deg, time_s;
+    int number;  ///< number of the firing; for a sensor that fires at fixed azimuths, the column
+    /// current minus mean rotation rate of the LiDAR's head, in degrees per microsecond
+    double ahead_deg_us;
+    double brightness;  ///< intensity value that becomes 1
+};
+
+// If more consecutive columns than this have no measurement, their rays become rays
+// without a return. In a shorter gap, the scan repeats neighbouring columns.
+constexpr std::size_t kMostUnmeasured = 8;
+
+/// Sets `column_has_fired` of long runs of columns without measurements, so that their
+/// rays become rays without a return. Skips columns whose packets were lost.
+void mark_long_gaps_without_returns_as_fired(std::vector<bool>& column_has_fired,
+                                             const std::vector<bool>& column_is_enabled,
+                                             const std::vector<bool>& column_is_lost) {
+    std::size_t run = 0;
+    for (std::size_t c = 0; c <= column_is_enabled.size(); ++c) {
+        if (c < column_is_enabled.size() && column_is_enabled[c] && !column_has_fired[c] &&
+            !column_is_lost[c]) {
+            ++run;
+            continue;
+        }
+        for (std::size_t k = 1; run > kMostUnmeasured && k <= run; ++k) column_has_fired[c - k] = true;
+        run = 0;
+    }
+}
+
+/// Converts the returns of a firing to points. If a ray has two returns, the brighter one
+/// is the first return.
+void add_points_of_firing(RevolutionPoints& revolution_points, const FiringInstant& firing,
+                          const std::array<DecodedReturn, 2>* returns_of_each_ring,
+                          const std::vector<BeamRayGenerator>& beams,
+                          const std::vector<double>& beam_offsets_us) {
+    LidarPoints& points = revolution_points.points;
+    revolution_points.head_rad.try_emplace(firing.number,
+                                           -std::remainder(firing.azimuth_deg, 360.0) * kPi / 180.0);
+    for (std::size_t ring = 0; ring < beams.size(); ++ring) {
+        const double head_deg = firing.azimuth_deg + firing.ahead_deg_us * beam_offsets_us[ring];
+        const BeamRay ray = beams[ring].compute_ray(-head_deg * kPi / 180.0);
+        const auto add = [&](const DecodedReturn& echo, std::uint8_t number) {
+            points.position_m.emplace_back(ray.origin_m + ray.direction * double(echo.range_m));
+            points.intensity.push_back(float(double(echo.intensity) / firing.brightness));
+            points.ring.push_back(std::uint16_t(ring));
+            points.time_offset_s.push_back(float(firing.time_s + 1e-6 * beam_offsets_us[ring]));
+            points.return_number.push_back(number);
+            revolution_points.numbers.push_back(firing.number);
+        };
+        DecodedReturn first = returns_of_each_ring[ring][0],
+                      other = returns_of_each_ring[ring][1];  // two returns may be identical
+        if (other.range_m == first.range_m) other.range_m = 0.0f;
+        if (first.range_m == 0.0f || (other.range_m != 0.0f && other.intensity > first.intensity))
+            std::swap(first, other);
+        if (first.range_m != 0.0f) add(first, 1);
+        if (other.range_m != 0.0f) add(other, 2);
+    }
+}
+
+/// Creates the scan of a sensor that fires at fixed azimuths.
+/// @param column_is_enabled  [columns per revolution] true if the sensor fires at the
+/// column
+/// @param column_is_lost  [columns per revolution] true if the packet with the column
+/// was lost. Its rays are unknown, so the scan does not contain them.
+Scan make_scan_of_fixed_azimuth_sensor(RevolutionPoints& revolution_points,
+                                       const std::vector<bool>& column_is_enabled,
+                                       const std::vector<bool>& column_is_lost, SpinningSensor sensor) {
+    std::vector<bool> has_fired(column_is_enabled.size(), false);
+    for (const auto& [column, head_rad] : revolution_points.head_rad) has_fired[std::size_t(column)] = true;
+    mark_long_gaps_without_returns_as_fired(has_fired, column_is_enabled, column_is_lost);
+    SweepFirings sweep{{int(has_fired.size()), kPi}, {}};
+    std::vector<std::uint32_t> firing_index_of_column(has_fired.size());
+    for (std::size_t c = 0; c < has_fired.size(); ++c) {
+        firing_index_of_column[c] = std::uint32_t(sweep.firings.size());
+        if (has_fired[c]) sweep.firings.push_back(int((has_fired.size() - c) % has_fired.size()));
+    }
+    for (const int column : revolution_points.numbers)
+        revolution_points.points.firing.push_back(firing_index_of_column[std::size_t(column)]);
+    // If packets were lost, the scan has only the columns that were received.
+    const bool has_gaps = std::ranges::count(column_is_lost, true) > 0;
+    sensor.columns =
+        std::max(has_gaps ? 0 : int(std::ranges::count(column_is_enabled, true)), int(sweep.firings.size()));
+    return assign_points_to_rays_of_spinning_scan(revolution_points.points, sensor, sweep);
+}
+
+}  // namespace
+
+/// @param message_index  index in `packets_of_message`
+DecodedPacket PacketIndex::decode_packet_of_entry(
+    std::size_t message_index, const Entry& packet_entry,
+    const std::vector<std::vector<ReceivedPacket>>& packets_of_message) const {
+    if (message_index >= packets_of_message.size() ||
+        packet_entry.in_message >= packets_of_message[message_index].size())
+        fail("the file of the recording changed while it was read: a message has fewer packets than before");
+    const ReceivedPacket& view = packets_of_message[message_index][packet_entry.in_message];
+    if (find_product_of_packet(view.bytes, calibration_) != product_)
+        fail("the file of the recording changed while it was read: a packet differs from before");
+    return decoder_->decode_packet(view.bytes);
+}
+
+/// Converts an azimuth to a column of a revolution. The result is an invalid column if
+/// the azimuth is outside the revolution.
+int PacketIndex::compute_column_of_azimuth(const PacketRevolution& revolution, double azimuth_deg) const {
+    const double n = double(decoder_->get_laser_timing().fires.size());
+    return int(std::clamp(std::round((azimuth_deg - revolution.begin_deg) / compute_column_step_deg()), -n,
+                          2.0 * n));
+}
+
+/// Returns for each column of a revolution whether its packet was lost. Returns an empty
+/// list if the sensor can fire at any azimuth.
+std::vector<bool> PacketIndex::find_lost_columns(const PacketRevolution& revolution) const {
+    const std::vector<bool>& fires = decoder_->get_laser_timing().fires;
+    std::vector<bool> is_lost(fires.size(), false);
+    const std::size_t end_packet = std::min(revolution.last + 2, packets_.size());
+    for (std::size_t i = revolution.first + 1; i < end_packet && !fires.empty(); ++i) {
+        if (count_lost_packets_before_packet(i) == 0) continue;
+        const Entry &entry = packets_[i], &before = packets_[i - 1];
+        const int begin =
+            compute_column_of_azimuth(revolution, before.azimuth_deg) - before.first_slot + n_slots_;
+        const int end = std::min(compute_column_of_azimuth(revolution, entry.azimuth_deg) - entry.first_slot,
+                                 int(fires.size()));
+        for (int c = std::max(begin, 0); c < end; ++c) is_lost[std::size_t(c)] = fires[std::size_t(c)];
+    }
+    return is_lost;
+}
+
+Scan PacketIndex::decode_revolution(const PacketRevolution& revolution,
+                                    const std::vector<std::vector<ReceivedPacket>>& packets_of_message,
+                                    const SpinningSensor& sensor, std::int64_t time_origin_ns) const {
+    RevolutionPoints fired;
+    const std::vector<BeamRayGenerator> beams = make_beam_ray_generators(sensor.beams);
+    const FiringTiming& timing = decoder_->get_laser_timing();
+    const double mean_deg_us = 360e-6 / sensor.period_s, brightness = compute_full_scale_intensity();
+    const int n_columns = int(timing.fires.size());
+    const std::uint32_t first_message = find_first_message_index(revolution);
+    std::size_t before = 0;  // firings of the revolution before this packet, also lost ones
+    int previous_number = -1;
+    bool is_inside = false;
+    for (std::size_t p = revolution.first; p <= revolution.last; ++p) {
+        const Entry& entry = packets_[p];
+        if (p > revolution.first && n_columns == 0)
+            before += std::size_t(packets_[p - 1].n_slots) +
+                      count_lost_packets_before_packet(p) * std::size_t(n_slots_);
+        DecodedPacket packet =
+            decode_packet_of_entry(entry.message - first_message, entry, packets_of_message);
+        const std::size_t begin = entry.first_firing, end = begin + entry.n_firings;
+        if (packet.firings.size() < end) continue;
+        const std::int64_t begin_ns =
+            timing.fires.empty() ? entry.stamp_ns : entry.clock_ns + revolution.stamp_less_clock_ns;
+        const double begin_s = 1e-9 * double(begin_ns - time_origin_ns),
+                     first_us = packet.firings[begin].after_us;
+        double azimuth = entry.azimuth_deg, step = 0.0;
+        for (std::size_t f = begin; f < end; ++f) {
+            const LaserFiring& firing = packet.firings[f];
+            azimuth += f > begin ? step : 0.0;
+            if (f + 1 < end)
+                step = compute_rotation_deg(firing.azimuth_deg, packet.firings[f + 1].azimuth_deg);
+            // time since the first firing of the column
+            const double late_us = timing.cycle_us * double(firing.part);
+            const double start_deg = azimuth - late_us * mean_deg_us;
+            const int slot = int(before) + firing.slot - entry.first_slot;
+            const int number = n_columns > 0 ? compute_column_of_azimuth(revolution, azimuth)
+                                             : (slot - firing.part + timing.parts) / timing.parts;
+            // All firings of a column belong to the revolution of the first one.
+            if (number != previous_number)
+                is_inside = n_columns > 0 ? number >= 0 && number < n_columns
+                                          : start_deg >= revolution.begin_deg &&
+                                                start_deg < revolution.begin_deg + 360.0;
+            previous_number = number;
+            if (!is_inside) continue;
+            const double time_s = begin_s + 1e-6 * (firing.after_us - first_us - late_us);
+            const double ahead_deg_us = timing.interpolates ? step / timing.cycle_us - mean_deg_us : 0.0;
+            std::array<DecodedReturn, 2>* echoes = &packet.echoes[f * sensor.beams.size()];
+            add_points_of_firing(fired, {start_deg, time_s, number, ahead_deg_us, brightness}, echoes, beams,
+                                 timing.offset_us);
+        }
+    }
+    return make_scan_of_revolution(revolution, fired, sensor);
+}
+
+Scan PacketIndex::make_scan_of_revolution(const PacketRevolution& revolution,
+                                          RevolutionPoints& revolution_points,
+                                          const SpinningSensor& sensor) const {
+    if (revolution_points.points.size() == 0)
+        return make_scan_with_one_ray_per_point(revolution_points.points);
+    if (!decoder_->get_laser_timing().fires.empty())
+        return make_scan_of_fixed_azimuth_sensor(revolution_points, decoder_->get_laser_timing().fires,
+                                                 find_lost_columns(revolution), sensor);
+    const SweepFirings sweep = sort_firings_by_azimuth_and_assign_points(
+        revolution_points.points, revolution_points.numbers, revolution_points.head_rad);
+    // A revolution has no columns in the sector `skipped_`. If packets were lost, the
+    // scan has only the received columns.
+    SpinningSensor scan_sensor = sensor;
+    scan_sensor.columns = int(std::ceil(double(sensor.columns) * (1.0 - skipped_.width_deg / 360.0)));
+    if (revolution.has_gaps) scan_sensor.columns = int(sweep.firings.size());
+    return assign_points_to_rays_of_spinning_scan(revolution_points.points, scan_sensor, sweep);
+}
+
+}  // namespace relidar::packets

@@ -1,0 +1,188 @@
+// SPDX-License-Identifier: Apache-2.0
+// Writes packets of Ouster's sensors (firmware user manual, "Lidar Data"). The encoder
+// first creates the metadata and parses them. Then it writes packets in the format that
+// the metadata describe. Signal and ambient light are 0, because a scan does not store
+// them.
+#include <algorithm>
+#include <array>
+#include <cmath>
+
+#include <nlohmann/json.hpp>
+
+#include <relidar/base/math.hpp>
+
+#include "base/bytes.hpp"
+#include "base/fail.hpp"
+#include "read/packets/packet_format.hpp"
+#include "read/packets/ouster.hpp"
+
+namespace relidar::packets {
+namespace {
+
+constexpr int kOusterPort = 7502, kColumnsPerPacket = 16;
+constexpr const char* kSerial = "100000000001";
+constexpr std::uint64_t kSerialNumber = 100'000'000'001;
+constexpr std::size_t kEndBytes = 32;  // size of the header and of the footer of a packet
+// number of encoder ticks per turn in the legacy packet format
+constexpr std::uint32_t kEncoderTicks = 90112;
+
+/// Returns the first and the last column of the smallest azimuth window with all columns
+/// in which the sensor fires. The window may cross the end of the range image.
+std::array<int, 2> find_column_window(const std::vector<bool>& column_has_fired) {
+    const int n = int(column_has_fired.size());
+    // Finds the longest gap without firings. `begin` is the first column after it.
+    int begin = 0, longest = 0;
+    for (int start = 0; start < n; ++start) {
+        int length = 0;
+        while (length < n && !column_has_fired[std::size_t((start + length) % n)]) ++length;
+        if (length > longest) {
+            longest = length;
+            begin = (start + length) % n;
+        }
+    }
+    return longest == n ? std::array{0, n - 1} : std::array{begin, (begin + n - longest - 1) % n};
+}
+
+/// Returns the metadata of an Ouster sensor as JSON text. The x axis of Ouster's LiDAR
+/// frame points backward; the metadata contain the transform.
+std::string make_ouster_metadata(const SpinningSensor& sensor, const std::string& packet_profile,
+                                 const std::array<int, 2>& column_window) {
+    // In Ouster's metadata, the product line of "OS1-64" is called "OS-1-64".
+    const bool has_short_name =
+        sensor.name.starts_with("OS") && sensor.name.size() > 3 && sensor.name[3] == '-';
+    const std::string product_line = has_short_name ? "OS-" + sensor.name.substr(2) : sensor.name;
+    std::vector<double> altitude_deg, azimuth_deg;
+    std::vector<int> shift;
+    for (const Beam& beam : sensor.beams) {
+        altitude_deg.push_back(beam.elevation_rad * 180.0 / kPi);
+        azimuth_deg.push_back(-beam.azimuth_offset_rad * 180.0 / kPi);
+        shift.push_back(int(std::lround(azimuth_deg.back() * sensor.columns / 360.0)));
+    }
+    const nlohmann::ordered_json json = {
+        {"prod_line", product_line},
+        {"prod_sn", kSerial},
+        {"status", "RUNNING"},
+        {"lidar_mode", fmt::format("{}x{}", sensor.columns, std::lround(1.0 / sensor.period_s))},
+        {"udp_port_lidar", kOusterPort},
+        {"beam_altitude_angles", altitude_deg},
+        {"beam_azimuth_angles", azimuth_deg},
+        {"lidar_origin_to_beam_origin_mm", 1000.0 * sensor.beams.front().origin_offset_m},
+        {"lidar_to_sensor_transform", {-1, 0, 0, 0, 0, -1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1}},
+        {"data_format",
+         {{"columns_per_frame", sensor.columns},
+          {"columns_per_packet", kColumnsPerPacket},
+          {"pixels_per_column", sensor.beams.size()},
+          {"pixel_shift_by_row", shift},
+          {"column_window", column_window},
+          {"udp_profile_lidar", packet_profile}}}};
+    return json.dump(1) + "\n";
+}
+
+class OusterWriter : public PacketFormat {
+public:
+    OusterWriter(const SpinningSensor& sensor, const PacketOptions& options)
+        : start_ns_(options.start_ns),
+          sensor_(sensor),
+          format_(parse_ouster_metadata(
+              make_ouster_metadata(sensor, choose_packet_profile(options), {0, sensor.columns - 1}),
+              sensor.name)) {
+        if (format_->profile->returns < options.returns)
+            fail<UsageError>("cannot write packets of {}: the format {} has one return per ray, expected two",
+                             sensor.name, format_->profile->name);
+    }
+
+    int get_udp_port() const override { return kOusterPort; }
+    int firings_per_packet() const override { return format_->columns_per_packet; }
+    double get_firing_period_us() const override {
+        return 1e6 * format_->sensor.period_s / get_fixed_columns_per_revolution();
+    }
+    int get_fixed_columns_per_revolution() const override { return format_->sensor.columns; }
+    std::vector<double> get_beam_delays_us() const override {
+        return std::vector<double>(format_->sensor.beams.size(), 0.0);
+    }
+    PacketCalibrationFile make_calibration_file(const std::vector<bool>& column_has_fired) const override {
+        return {".json",
+                make_ouster_metadata(sensor_, format_->profile->name, find_column_window(column_has_fired))};
+    }
+
+    SensorPacket encode_packet(std::span<const FiringColumn> columns,
+                               std::uint32_t packet_number) const override {
+        const auto packets_per_revolution =
+            std::uint32_t(format_->sensor.columns / format_->columns_per_packet);
+        const auto frame = std::uint16_t(packet_number / packets_per_revolution);
+        const bool is_legacy = format_->profile->is_legacy;
+        SensorPacket packet;
+        if (!is_legacy) {
+            append_binary_value(packet.bytes, std::uint16_t(1));  // packet type
+            append_binary_value(packet.bytes, frame);
+            packet.bytes.append(3, '\0');  // initialization number of the sensor
+            for (int k = 0; k < 5; ++k)
+                append_binary_value(packet.bytes, std::uint8_t(kSerialNumber >> (8 * k)));
+            packet.bytes.resize(kEndBytes, '\0');
+        }
+        for (const FiringColumn& column : columns) {
+            const std::int64_t time_ns = convert_log_time_to_unix_ns(column.time_s, start_ns_);
+            const int n = format_->sensor.columns;
+            const auto position = int((std::lround((column.azimuth_deg - 180.0) / 360.0 * n) + n) % n);
+            append_binary_value(packet.bytes, std::uint64_t(std::max<std::int64_t>(time_ns, 0)));
+            append_binary_value(packet.bytes, std::uint16_t(position));
+            if (is_legacy) {
+                append_binary_value(packet.bytes, frame);
+                append_binary_value(packet.bytes,
+                                    std::uint32_t(position) * (kEncoderTicks / std::uint32_t(n)));
+            } else {
+                append_binary_value(packet.bytes, std::uint16_t(column.is_measured));
+            }
+            append_pixels(packet.bytes, column);
+            if (is_legacy) append_binary_value(packet.bytes, column.is_measured ? 0xFFFFFFFFu : 0u);
+            if (column.is_measured || packet.time_ns == 0) packet.time_ns = time_ns;
+        }
+        if (!is_legacy) packet.bytes.append(kEndBytes, '\0');
+        return packet;
+    }
+
+private:
+    const std::int64_t start_ns_;
+    const SpinningSensor sensor_;
+    const std::shared_ptr<const OusterMetadata> format_;
+
+    static std::string choose_packet_profile(const PacketOptions& options) {
+        if (!options.ouster_profile.empty()) return options.ouster_profile;
+        return options.returns == 2 ? "RNG19_RFL8_SIG16_NIR16_DUAL" : "RNG19_RFL8_SIG16_NIR16";
+    }
+
+    void append_pixels(std::string& bytes, const FiringColumn& column) const {
+        const OusterProfile& profile = *format_->profile;
+        for (const std::size_t ring : format_->ring_of) {
+            const std::size_t at = bytes.size();
+            bytes.append(profile.pixel_bytes, '\0');
+            for (int k = 0; k < profile.returns && !column.returns.empty(); ++k)
+                write_return_to_pixel(&bytes[at + 4 * std::size_t(k)], column.returns[ring][std::size_t(k)],
+                                      format_->sensor.beams[ring].origin_offset_m);
+        }
+    }
+
+    /// Ouster measures ranges from the axis of rotation. Therefore the distance of the
+    /// beam origin from the axis is added.
+    void write_return_to_pixel(char* pixel, const LaserReturn& laser_return,
+                               double beam_origin_offset_m) const {
+        const OusterProfile& profile = *format_->profile;
+        if (laser_return.range_m <= 0.0f) return;
+        const double range =
+            std::round((double(laser_return.range_m) + beam_origin_offset_m) / profile.range_unit_m);
+        if (!(range >= 1.0 && range <= double(profile.range_bits))) return;
+        const auto number = std::uint32_t(range);
+        for (std::size_t k = 0; k < 4 && number >> (8 * k) != 0; ++k) pixel[k] = char(number >> (8 * k));
+        pixel[profile.reflectivity_at] = char(convert_intensity_to_byte(laser_return));
+    }
+};
+
+}  // namespace
+
+std::unique_ptr<PacketFormat> make_ouster_format(const SpinningSensor& sensor, const PacketOptions& options) {
+    if (!sensor.name.starts_with("OS") && sensor.name != "Ouster" && options.ouster_profile.empty())
+        return nullptr;
+    return std::make_unique<OusterWriter>(sensor, options);
+}
+
+}  // namespace relidar::packets

@@ -1,0 +1,167 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "read/packets/packet_log.hpp"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+
+namespace relidar::packets {
+namespace {
+
+constexpr double kBackward_deg = 1.0;  // A smaller decrease of the encoder angle is accepted as noise.
+// Maximum network delay of a packet. If the sensor's clock decreases by more, it was set
+// back.
+constexpr std::int64_t kLatest_ns = 100000000;
+// If two packets are farther apart in time than this, the recording was paused.
+constexpr std::int64_t kPause_ns = 200000000;
+constexpr std::size_t kBins = 720;
+constexpr double kLeastSector_deg = 10.0;
+
+double compute_mean_rotation_deg_per_us(const std::vector<PacketIndexEntry>& packets) {
+    double turned_deg = 0.0, passed_us = 0.0;
+    for (std::size_t p = 1; p < packets.size(); ++p) {
+        const PacketIndexEntry &before = packets[p - 1], &entry = packets[p];
+        const std::int64_t passed_ns = entry.clock_ns - before.clock_ns;
+        if (entry.skipped_deg != 0.0f || before.skipped_deg != 0.0f || passed_ns <= 0 ||
+            passed_ns > kPause_ns)
+            continue;
+        turned_deg += entry.azimuth_deg - before.azimuth_deg;
+        passed_us += 1e-3 * double(passed_ns);
+    }
+    return passed_us > 0.0 ? turned_deg / passed_us : 0.0;
+}
+
+}  // namespace
+
+double compute_rotation_deg(double from_azimuth_deg, double to_azimuth_deg) {
+    const double step = std::remainder(to_azimuth_deg - from_azimuth_deg, 360.0);
+    return step < -kBackward_deg ? step + 360.0 : step;
+}
+
+PacketFaultCounts sort_and_deduplicate_packets(std::vector<PacketIndexEntry>& packets) {
+    PacketFaultCounts faults;
+    std::size_t n = 0;  // packets[0, n) are already sorted
+    for (std::size_t p = 0; p < packets.size(); ++p) {
+        PacketIndexEntry entry = packets[p];
+        const auto is_later = [&](std::size_t index) { return packets[index].clock_ns > entry.clock_ns; };
+        std::size_t at = n;  // where the packet belongs
+        while (at > 0 && is_later(at - 1) && packets[at - 1].clock_ns - entry.clock_ns <= kLatest_ns) --at;
+        if (at > 0 && is_later(at - 1)) at = n;
+        bool is_repeated = false;
+        // Many packets have the same time if the sensor's clock stands still.
+        constexpr std::size_t kMostCompared = 64;
+        for (std::size_t k = at, n_compared = 0;
+             k > 0 && !is_repeated && n_compared < kMostCompared && packets[k - 1].clock_ns == entry.clock_ns;
+             --k, ++n_compared)
+            is_repeated = packets[k - 1].hash == entry.hash && packets[k - 1].first_slot == entry.first_slot;
+        const bool counts = entry.first_firing == 0;  // counts a packet only once if it has two parts
+        faults.n_repeated += is_repeated && counts;
+        if (is_repeated) continue;
+        if (at < n) {
+            // The receive time of a late packet is wrong. Replaces it with clock_ns +
+            // offset, where the offset is stamp_ns - clock_ns of a neighbour. Raises the
+            // stamps of later packets to at least clock_ns + offset.
+            const PacketIndexEntry& beside = packets[at > 0 ? at - 1 : at];
+            const std::int64_t stamp_less_clock_ns = beside.stamp_ns - beside.clock_ns;
+            entry.stamp_ns = entry.clock_ns + stamp_less_clock_ns;
+            for (std::size_t k = at; at > 0 && k < n; ++k)
+                packets[k].stamp_ns =
+                    std::max(packets[k].stamp_ns, packets[k].clock_ns + stamp_less_clock_ns);
+            faults.n_late += counts;
+        }
+        std::move_backward(packets.begin() + std::ptrdiff_t(at), packets.begin() + std::ptrdiff_t(n),
+                           packets.begin() + std::ptrdiff_t(n) + 1);
+        packets[at] = entry;
+        ++n;
+    }
+    packets.resize(n);
+    return faults;
+}
+
+double unwrap_azimuths_and_estimate_rate(std::vector<PacketIndexEntry>& packets, const FiringTiming& timing) {
+    double deg_us = timing.fires.empty() ? 0.0 : 360.0 / double(timing.fires.size()) / timing.cycle_us;
+    const auto skipped_us = [&](const PacketIndexEntry& entry) {
+        return deg_us > 0.0 ? double(entry.skipped_deg) / deg_us : 0.0;
+    };
+    for (std::size_t p = 0; p < packets.size(); ++p) {
+        if (timing.fires.empty() && packets[p].n_slots > 3)
+            deg_us = double(packets[p].turned_deg) / (timing.cycle_us * double(packets[p].n_slots - 1));
+        if (p == 0) continue;
+        PacketIndexEntry& entry = packets[p];
+        const PacketIndexEntry& previous = packets[p - 1];
+        const double passed_us =
+            1e-3 * double(entry.clock_ns - previous.clock_ns) + skipped_us(entry) - skipped_us(previous);
+        // Makes the azimuth continue the azimuth of the previous packet. The number of
+        // full revolutions between them is computed from elapsed time and rotation rate.
+        const double azimuth_deg =
+            previous.azimuth_deg +
+            compute_rotation_deg(std::fmod(previous.azimuth_deg, 360.0), entry.azimuth_deg);
+        const double expected_deg = previous.azimuth_deg + deg_us * passed_us;
+        entry.azimuth_deg =
+            azimuth_deg + 360.0 * std::max(0.0, std::round((expected_deg - azimuth_deg) / 360.0));
+    }
+    if (const double mean = compute_mean_rotation_deg_per_us(packets); mean > 0.0) deg_us = mean;
+    for (std::size_t p = 0; p < packets.size() && deg_us > 0.0; ++p) {
+        PacketIndexEntry& entry = packets[p];
+        if (entry.skipped_deg == 0.0f) continue;
+        // The head passed a sector without firings during this packet. Computes the time
+        // from a neighbour on the same side of the sector: the next entry if the sector
+        // precedes `entry`, otherwise the previous.
+        const std::size_t beside = entry.skipped_deg > 0.0f ? p + 1 : p - 1;
+        std::int64_t skipped_ns = std::llround(1e3 * skipped_us(entry));
+        if (beside < packets.size())
+            skipped_ns = packets[beside].clock_ns - entry.clock_ns +
+                         std::llround(1e3 * (entry.azimuth_deg - packets[beside].azimuth_deg) / deg_us);
+        entry.clock_ns += skipped_ns;
+        entry.stamp_ns += skipped_ns;
+    }
+    return deg_us;
+}
+
+double SkippedSector::compute_sector_overlap_deg(double from_deg, double to_deg) const {
+    // degrees of the sector on the way from its start to an azimuth
+    const auto until = [&](double azimuth_deg) {
+        const double turns = std::floor((azimuth_deg - begin_deg) / 360.0);
+        return turns * width_deg + std::min(azimuth_deg - begin_deg - 360.0 * turns, width_deg);
+    };
+    return width_deg > 0.0 ? until(to_deg) - until(from_deg) : 0.0;
+}
+
+SkippedSector find_sector_without_firings(const std::vector<PacketIndexEntry>& packets,
+                                          double firing_step_deg) {
+    std::array<bool, kBins> fires{};
+    for (const PacketIndexEntry& entry : packets)
+        for (double on = 0.0; on <= std::min(double(entry.turned_deg), 360.0) + firing_step_deg; on += 0.4)
+            fires[std::size_t(std::max(entry.azimuth_deg + on, 0.0) / 360.0 * kBins) % kBins] = true;
+    std::size_t widest = 0, end = 0, run = 0;
+    // Loops over the circle twice, because the widest gap between firings may contain
+    // azimuth 0.
+    for (std::size_t b = 0; b < 2 * kBins; ++b) {
+        run = fires[b % kBins] ? 0 : run + 1;
+        if (run > widest) {
+            widest = run;
+            end = b + 1;
+        }
+    }
+    const double bin_deg = 360.0 / kBins;
+    if (double(widest) * bin_deg < kLeastSector_deg || widest >= kBins) return {};
+    const double inside_deg = (double(end) - 0.5 * double(widest)) * bin_deg;
+    // Angles relative to the middle of the sector without firings. before_deg: from the
+    // last firing before the sector. behind_deg: to the first firing after the sector.
+    double before_deg = 360.0, behind_deg = 360.0;
+    std::size_t n_skips = 0;
+    for (std::size_t p = 0; p < packets.size(); ++p) {
+        const PacketIndexEntry& entry = packets[p];
+        const auto on = [](double degrees) { return degrees - 360.0 * std::floor(degrees / 360.0); };
+        const double last_deg = entry.azimuth_deg + double(entry.turned_deg);
+        before_deg = std::min(before_deg, on(inside_deg - last_deg));
+        behind_deg = std::min(behind_deg, on(entry.azimuth_deg - inside_deg));
+        n_skips += p > 0 && std::floor((entry.azimuth_deg - inside_deg) / 360.0) >
+                                std::floor((packets[p - 1].azimuth_deg - inside_deg) / 360.0);
+    }
+    const double width_deg = before_deg + behind_deg - firing_step_deg;
+    if (n_skips < 2 || width_deg < kLeastSector_deg) return {};
+    return {inside_deg - before_deg + firing_step_deg, width_deg};
+}
+
+}  // namespace relidar::packets

@@ -1,0 +1,50 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "read/scans/broken_scans.hpp"
+
+#include <set>
+#include <utility>
+#include <vector>
+
+#include "base/fail.hpp"
+
+namespace relidar {
+
+bool ScanErrorCollector::is_scan_broken(std::size_t scan_index) const {
+    const std::lock_guard guard(lock_);
+    return reasons_.contains(scan_index);
+}
+
+void ScanErrorCollector::record_broken_scan(std::size_t scan_index, const std::string& reason) {
+    const std::lock_guard guard(lock_);
+    reasons_.try_emplace(scan_index, reason);
+}
+
+void ScanErrorCollector::note_broken_scans_or_throw_if_all_broken(LidarSequence& sequence,
+                                                                  std::size_t n_scans) const {
+    if (!reasons_.empty() && reasons_.size() == n_scans)
+        fail("{}: none of the {} scans can be read; the first error is: {}", sequence.source, n_scans,
+             reasons_.begin()->second);
+    for (const auto& [i, reason] : reasons_)
+        sequence.notes.push_back(fmt::format("a scan that cannot be read is skipped: {}", reason));
+}
+
+void ScanErrorCollector::remove_broken_frames(LidarSequence& sequence) const {
+    note_broken_scans_or_throw_if_all_broken(sequence, sequence.frames.size());
+    if (reasons_.empty()) return;
+    std::vector<LidarFrame> remaining_frames;
+    std::set<double> times_s;
+    for (std::size_t i = 0; i < sequence.frames.size(); ++i) {
+        if (reasons_.contains(i)) continue;
+        times_s.insert(sequence.frames[i].time_s);
+        remaining_frames.push_back(std::move(sequence.frames[i]));
+    }
+    sequence.frames = std::move(remaining_frames);
+    const PoseTrack all = std::exchange(sequence.world_from_vehicle, {});
+    for (std::size_t i = 0; i < all.time_s.size(); ++i) {
+        if (!times_s.contains(all.time_s[i])) continue;
+        sequence.world_from_vehicle.time_s.push_back(all.time_s[i]);
+        sequence.world_from_vehicle.pose.push_back(all.pose[i]);
+    }
+}
+
+}  // namespace relidar

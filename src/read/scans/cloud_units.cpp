@@ -1,0 +1,167 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "read/scans/cloud_units.hpp"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+
+#include <fmt/format.h>
+
+#include "base/median.hpp"
+#include "read/scans/point_times.hpp"
+
+namespace relidar::read {
+namespace {
+
+// A unit is accepted only if (cloud duration / time between clouds) is within these
+// limits.
+constexpr double kLeastSpan = 0.05, kMostSpan = 3.0;
+// Maximum difference between the time of a point and the stamp of its cloud.
+constexpr double kBesideStamp_s = 2.0;
+constexpr double kLeastSweep_s = 0.1;
+constexpr double kMostClouds = 0.8;  // minimum share of the clouds that must agree
+// Equal times of all points that can only be in steps above this value were probably
+// seconds.
+constexpr double kLargestStep = 16.0;
+
+constexpr const char* kAboutZero[] = {  // by PointTimeReference
+    "", "the times are relative to the stamp of the cloud",
+    "the times use the same clock as the stamps of the clouds",
+    "the times use the clock of the sensor, so the first time in a cloud is set to its stamp"};
+
+struct TimeUnit {
+    const char* name;
+    double seconds;
+};
+constexpr std::array<TimeUnit, 4> kTimeUnits = {{{"s", 1.0}, {"ms", 1e-3}, {"us", 1e-6}, {"ns", 1e-9}}};
+
+struct TimeRange {
+    double first, last, stamp_s;
+    double resolution = 0.0;  ///< see find_time_resolution()
+};
+
+std::vector<TimeRange> list_point_time_ranges(const std::vector<read::PointTable>& clouds,
+                                              const std::vector<double>& cloud_stamps_s) {
+    std::vector<TimeRange> ranges;
+    for (std::size_t c = 0; c < clouds.size(); ++c)
+        if (const auto range = read::find_time_range(clouds[c]))
+            ranges.push_back(
+                {(*range)[0], (*range)[1], cloud_stamps_s[c], read::find_time_resolution(clouds[c])});
+    return ranges;
+}
+
+/// Returns true if point times advance from cloud to cloud like the stamps.
+bool do_times_follow_stamps(const std::vector<TimeRange>& ranges, double time_unit_s) {
+    std::size_t n_like_stamps = 0;
+    for (std::size_t k = 1; k < ranges.size(); ++k) {
+        const double step_s = ranges[k].stamp_s - ranges[k - 1].stamp_s,
+                     time_step_s = time_unit_s * (ranges[k].first - ranges[k - 1].first);
+        n_like_stamps += std::abs(time_step_s - step_s) < 0.5 * std::abs(step_s);
+    }
+    return 2 * n_like_stamps + 1 > ranges.size();
+}
+
+/// Then times are no offsets from stamps, but for example times within a second.
+bool do_first_times_differ(const std::vector<TimeRange>& ranges, double time_unit_s, double sweep_s) {
+    std::vector<double> first_s;
+    for (const TimeRange& range : ranges) first_s.push_back(range.first * time_unit_s);
+    const double middle_s = compute_median(first_s);
+    const auto n_near =
+        std::ranges::count_if(first_s, [&](double t_s) { return std::abs(t_s - middle_s) <= sweep_s; });
+    return double(n_near) < kMostClouds * double(ranges.size());
+}
+
+PointTimeReference find_reference_of_point_times(const std::vector<TimeRange>& time_ranges,
+                                                 double time_unit_s, double sweep_s) {
+    const auto most = [&](auto test) {
+        return double(std::ranges::count_if(time_ranges, test)) >= kMostClouds * double(time_ranges.size());
+    };
+    const auto are_times_close = [&](double first, double second) {
+        return std::abs(first - second) <= kBesideStamp_s;
+    };
+    if (most([&](const TimeRange& r) {
+            return are_times_close(r.first * time_unit_s, 0.0) && are_times_close(r.last * time_unit_s, 0.0);
+        }) &&
+        !do_times_follow_stamps(time_ranges, time_unit_s) &&
+        !do_first_times_differ(time_ranges, time_unit_s, sweep_s))
+        return PointTimeReference::stamp;
+    if (most([&](const TimeRange& r) {
+            return are_times_close(r.first * time_unit_s, r.stamp_s) &&
+                   are_times_close(r.last * time_unit_s, r.stamp_s);
+        }))
+        return PointTimeReference::epoch;
+    return PointTimeReference::sensor_clock;
+}
+
+/// Equal times of all points are precise if they are close to the stamps, or small.
+bool have_times_lost_precision(const std::vector<TimeRange>& ranges, double span, double cloud_interval_s) {
+    const TimeRange& cloud = ranges[ranges.size() / 2];
+    if (span > 0.0) return read::is_coarse_time(cloud.resolution, span);
+    const bool has_coarse_stamps = std::ranges::any_of(kTimeUnits, [&](const TimeUnit& unit) {
+        const double resolution_s = cloud.resolution * unit.seconds;
+        return read::is_coarse_time(resolution_s, cloud_interval_s) &&
+               std::abs(cloud.first * unit.seconds - cloud.stamp_s) < kBesideStamp_s + resolution_s;
+    });
+    const bool is_clock = std::ranges::any_of(kTimeUnits, [&](const TimeUnit& unit) {
+        return ranges.size() > 1 && do_times_follow_stamps(ranges, unit.seconds);
+    });
+    const bool is_constant = std::ranges::all_of(
+        ranges, [&](const TimeRange& range) { return range.first == ranges.front().first; });
+    return has_coarse_stamps ||
+           (!is_clock && (cloud.resolution > kLargestStep ||
+                          (!is_constant && read::is_coarse_time(cloud.resolution, cloud_interval_s))));
+}
+
+void set_point_time_unit_from_ranges(PointCloudUnits& units, const std::vector<TimeRange>& time_ranges,
+                                     const std::vector<TimeRange>& signed_ranges, double cloud_interval_s) {
+    if (time_ranges.empty()) return;
+    std::vector<double> spans;
+    for (const TimeRange& r : time_ranges) spans.push_back(r.last - r.first);
+    std::ranges::sort(spans);
+    const double span = spans[spans.size() / 2];
+    if (have_times_lost_precision(time_ranges, span, cloud_interval_s)) {
+        const TimeRange& cloud = time_ranges[time_ranges.size() / 2];
+        units.about = read::describe_coarse_times(cloud.last, cloud.resolution);
+        return;
+    }
+    units.is_deskewed = spans.back() == 0.0;
+    for (const TimeUnit& unit : kTimeUnits) {
+        const double turns = span * unit.seconds / cloud_interval_s;
+        if (!(turns >= kLeastSpan && turns <= kMostSpan)) continue;
+        const double sweep_s = std::max({span * unit.seconds, cloud_interval_s, kLeastSweep_s});
+        units.zero = find_reference_of_point_times(time_ranges, unit.seconds, sweep_s);
+        if (units.zero == PointTimeReference::sensor_clock &&
+            find_reference_of_point_times(signed_ranges, unit.seconds, sweep_s) == PointTimeReference::stamp)
+            units.zero = PointTimeReference::stamp;
+        units.time_unit_s = unit.seconds;
+        units.about = fmt::format("the times of points are read in {}; {}; a cloud lasts {:.1f} ms",
+                                  unit.name, kAboutZero[std::size_t(units.zero)], 1e3 * span * unit.seconds);
+        return;
+    }
+    units.about = units.is_deskewed
+                      ? "all points of a cloud have the same time, so each cloud is assumed to be "
+                        "motion-compensated to its stamp"
+                      : fmt::format(
+                            "the times of points are ignored, because no unit of time fits them: the points "
+                            "of a cloud span {:.4g} units, but clouds are {:.3g} s apart",
+                            span, cloud_interval_s);
+}
+
+}  // namespace
+
+PointCloudUnits estimate_time_and_intensity_units(const std::vector<read::PointTable>& clouds,
+                                                  const std::vector<double>& cloud_stamps_s,
+                                                  double cloud_interval_s) {
+    PointCloudUnits units;
+    std::vector<read::PointTable> continuous_clouds = clouds;
+    for (read::PointTable& cloud : continuous_clouds) read::unwrap_point_times(cloud, false);
+    std::vector<read::PointTable> signed_clouds = continuous_clouds;
+    std::ranges::for_each(signed_clouds, read::restore_negative_offsets);
+    set_point_time_unit_from_ranges(units, list_point_time_ranges(continuous_clouds, cloud_stamps_s),
+                                    list_point_time_ranges(signed_clouds, cloud_stamps_s), cloud_interval_s);
+    units.meaning = read::interpret_point_fields(continuous_clouds);
+    if (!units.meaning.scale.about.empty()) units.meaning.notes.push_back(units.meaning.scale.about);
+    return units;
+}
+
+}  // namespace relidar::read

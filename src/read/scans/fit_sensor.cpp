@@ -1,0 +1,231 @@
+// SPDX-License-Identifier: Apache-2.0
+// Estimates the beams and columns of a spinning LiDAR from its points. The elevation of a
+// ring is the median over its points. The number of columns is computed from azimuth
+// steps. The azimuth offsets of the rings are computed from the phases of
+//   S_r(N) = sum of exp(i N azimuth) over the points of ring r.
+// If N is the number of columns, |S_r| is the number of points, and the phase of S_r is N
+// times the azimuth offset of the ring.
+#include <relidar/read/clouds.hpp>
+
+#include <algorithm>
+#include <cmath>
+#include <complex>
+#include <numeric>
+
+#include "base/fail.hpp"
+
+namespace relidar {
+namespace {
+
+constexpr double kLeastStep_rad = 2e-4;  // minimum azimuth step between two firings (about 0.01 degrees)
+constexpr double kLargestStep_rad = 0.2;
+// The first estimate of the number of columns may be wrong by this share.
+constexpr double kColumnSearchMargin = 0.03;
+// Minimum coherence: 1 if the points of each ring are on a regular azimuth grid.
+constexpr double kCoherent = 0.5;
+// A ring can have more points than the estimated number of columns. The estimate is then
+// raised to the number of points, but at most by this factor.
+constexpr double kMostColumns = 1.1;
+constexpr std::size_t kFewestSteps = 16;
+constexpr std::size_t kMostRings = 4096;
+
+double compute_quantile_and_reorder(std::vector<double>& values, double fraction) {
+    const auto at = values.begin() + std::ptrdiff_t(fraction * double(values.size() - 1));
+    std::nth_element(values.begin(), at, values.end());
+    return *at;
+}
+
+struct RingPoints {
+    std::vector<std::size_t> point;
+    std::vector<double> azimuth_rad;
+};
+using RingPointLists = std::vector<RingPoints>;
+
+RingPointLists group_points_by_ring(const LidarPoints& scan, std::size_t n_rings) {
+    RingPointLists rings(n_rings);
+    for (std::size_t i = 0; i < scan.size(); ++i) {
+        if (!scan.return_number.empty() && scan.return_number[i] != 1) continue;
+        rings[scan.ring[i]].point.push_back(i);
+        const glm::vec3& position_m = scan.position_m[i];
+        rings[scan.ring[i]].azimuth_rad.push_back(std::atan2(double(position_m.y), double(position_m.x)));
+    }
+    return rings;
+}
+
+/// Uses only the farther half of the points, because beams start beside the sensor
+/// origin.
+std::vector<std::optional<double>> estimate_ring_elevations(const std::vector<LidarPoints>& scans,
+                                                            std::size_t n_rings) {
+    struct RangeElevation {
+        double range_m, elevation_rad;
+    };
+    std::vector<std::vector<RangeElevation>> samples_by_ring(n_rings);
+    for (const LidarPoints& scan : scans)
+        for (std::size_t i = 0; i < scan.size(); ++i) {
+            const glm::dvec3 p(scan.position_m[i]);
+            samples_by_ring[scan.ring[i]].push_back({glm::length(p), std::atan2(p.z, std::hypot(p.x, p.y))});
+        }
+    std::vector<std::optional<double>> elevations(n_rings);
+    for (std::size_t r = 0; r < n_rings; ++r) {
+        if (samples_by_ring[r].empty()) continue;
+        const auto half = samples_by_ring[r].begin() + std::ptrdiff_t(samples_by_ring[r].size() / 2);
+        std::nth_element(samples_by_ring[r].begin(), half, samples_by_ring[r].end(),
+                         [](const RangeElevation& first, const RangeElevation& second) {
+                             return first.range_m < second.range_m;
+                         });
+        std::vector<double> far;
+        for (auto s = half; s != samples_by_ring[r].end(); ++s) far.push_back(s->elevation_rad);
+        elevations[r] = compute_quantile_and_reorder(far, 0.5);
+    }
+    return elevations;
+}
+
+/// Estimates the number of columns per revolution from the lower quartile of the azimuth
+/// steps, because steps across dropped rays are longer.
+int estimate_column_count(const LidarPoints& scan, const RingPointLists& rings) {
+    std::vector<double> steps;
+    for (const RingPoints& ring : rings) {
+        std::vector<double> azimuths = ring.azimuth_rad;
+        std::sort(azimuths.begin(), azimuths.end());
+        for (std::size_t i = 1; i < azimuths.size(); ++i)
+            if (const double step = azimuths[i] - azimuths[i - 1];
+                step > kLeastStep_rad && step < kLargestStep_rad)
+                steps.push_back(step);
+    }
+    if (steps.size() < kFewestSteps)
+        fail(
+            "cannot estimate the beams from {} points in {} rings: found {} neighbours in a ring that are "
+            "{:.2f} to {:.1f} degrees apart, expected at least {}",
+            scan.size(), rings.size(), steps.size(), kLeastStep_rad * 180.0 / kPi,
+            kLargestStep_rad * 180.0 / kPi, kFewestSteps);
+    return int(std::lround(2.0 * kPi / compute_quantile_and_reorder(steps, 0.25)));
+}
+
+/// Returns S_r(N), the sum of exp(i N azimuth) over the points of ring r, for each ring.
+/// |S_r| is large if the azimuths are on a grid of N columns.
+std::vector<std::complex<double>> sum_azimuth_phases_per_ring(const RingPointLists& rings, int n_columns) {
+    std::vector<std::complex<double>> sums;
+    for (const RingPoints& ring : rings) {
+        std::complex<double> sum = 0.0;
+        for (const double azimuth : ring.azimuth_rad) sum += std::polar(1.0, n_columns * azimuth);
+        sums.push_back(sum);
+    }
+    return sums;
+}
+
+/// Returns for consecutive numbers of columns how well the azimuths in each ring fit a
+/// grid of so many columns. For a perfect fit, the value is the number of points.
+std::vector<double> compute_fit_score_per_column_count(const RingPointLists& rings, int first_column_count,
+                                                       std::size_t n_counts_to_try) {
+    std::vector<double> lengths(n_counts_to_try, 0.0);
+    for (const RingPoints& ring : rings) {
+        std::vector<std::complex<double>> turned, step;
+        for (const double azimuth : ring.azimuth_rad) {
+            turned.push_back(std::polar(1.0, first_column_count * azimuth));
+            step.push_back(std::polar(1.0, azimuth));
+        }
+        for (double& length : lengths) {
+            std::complex<double> sum = 0.0;
+            for (std::size_t k = 0; k < turned.size(); ++k) {
+                sum += turned[k];
+                turned[k] *= step[k];
+            }
+            length += std::abs(sum);
+        }
+    }
+    return lengths;
+}
+
+struct FiringColumnGrid {
+    int columns = 0;
+    std::vector<double> offset_rad;
+};
+
+FiringColumnGrid estimate_columns_and_ring_offsets(const LidarPoints& scan, const RingPointLists& rings) {
+    FiringColumnGrid lattice{estimate_column_count(scan, rings), std::vector<double>(rings.size(), 0.0)};
+    const int reach = std::max(1, int(kColumnSearchMargin * lattice.columns)),
+              first = std::max(1, lattice.columns - reach);
+    const std::vector<double> lengths =
+        compute_fit_score_per_column_count(rings, first, std::size_t(lattice.columns + reach + 1 - first));
+    const auto best = std::ranges::max_element(lengths);
+    if (*best <= kCoherent * double(scan.size())) {
+        // There are at least as many columns as points in the fullest ring.
+        std::size_t most = 0;
+        for (const RingPoints& ring : rings) most = std::max(most, ring.point.size());
+        lattice.columns = std::clamp(int(std::min<std::size_t>(most, kMaxRays)), lattice.columns,
+                                     int(kMostColumns * lattice.columns));
+        return lattice;
+    }
+    lattice.columns = first + int(best - lengths.begin());
+    const std::vector<std::complex<double>> sums = sum_azimuth_phases_per_ring(rings, lattice.columns);
+    const std::complex<double> common = std::accumulate(sums.begin(), sums.end(), std::complex<double>(0.0));
+    for (std::size_t r = 0; r < rings.size(); ++r)
+        lattice.offset_rad[r] =
+            sums[r] == 0.0 ? 0.0 : std::arg(sums[r] * std::conj(common)) / lattice.columns;
+    return lattice;
+}
+
+/// Returns radians per second, positive if counterclockwise.
+std::optional<double> estimate_rotation_rate(const LidarPoints& scan, const RingPointLists& rings) {
+    if (scan.time_offset_s.empty()) return std::nullopt;
+    double turned = 0.0, passed_s = 0.0;
+    for (const RingPoints& ring : rings) {
+        const auto time_of = [&](std::size_t index) { return scan.time_offset_s[ring.point[index]]; };
+        std::vector<std::size_t> order(ring.point.size());
+        std::iota(order.begin(), order.end(), std::size_t(0));
+        std::sort(order.begin(), order.end(),
+                  [&](std::size_t first, std::size_t second) { return time_of(first) < time_of(second); });
+        for (std::size_t k = 1; k < order.size(); ++k) {
+            const double step =
+                std::remainder(ring.azimuth_rad[order[k]] - ring.azimuth_rad[order[k - 1]], 2.0 * kPi);
+            if (std::abs(step) > kLargestStep_rad) continue;
+            turned += step;
+            passed_s += double(time_of(order[k])) - double(time_of(order[k - 1]));
+        }
+    }
+    if (!(passed_s > 0.0) || turned == 0.0) return std::nullopt;
+    return turned / passed_s;
+}
+
+}  // namespace
+
+FittedSensor estimate_spinning_sensor(const std::vector<LidarPoints>& scans, double period_s) {
+    std::size_t n_rings = 0;
+    const LidarPoints* fullest = nullptr;
+    for (const LidarPoints& scan : scans) {
+        if (scan.ring.size() != scan.size())
+            fail<UsageError>("cannot estimate the beams: found {} ring numbers for {} points",
+                             scan.ring.size(), scan.size());
+        for (const std::uint16_t ring : scan.ring) n_rings = std::max(n_rings, std::size_t(ring) + 1);
+        if (!fullest || scan.size() > fullest->size()) fullest = &scan;
+    }
+    if (n_rings == 0) throw UsageError("cannot estimate the beams: found no points, expected a few scans");
+    if (n_rings > kMostRings)
+        fail("cannot estimate the beams: found the ring number {}, expected one below {}", n_rings - 1,
+             kMostRings);
+    const RingPointLists rings = group_points_by_ring(*fullest, n_rings);
+    const FiringColumnGrid lattice = estimate_columns_and_ring_offsets(*fullest, rings);
+    const std::vector<std::optional<double>> elevations = estimate_ring_elevations(scans, n_rings);
+
+    std::vector<std::size_t> order;  // ring numbers, sorted from the highest to the lowest ring
+    for (std::size_t r = 0; r < n_rings; ++r)
+        if (elevations[r]) order.push_back(r);
+    std::stable_sort(order.begin(), order.end(), [&](std::size_t first, std::size_t second) {
+        return *elevations[first] > *elevations[second];
+    });
+    FittedSensor fitted{{}, std::vector<std::uint16_t>(n_rings, kNoBeam)};
+    SpinningSensor& sensor = fitted.sensor;
+    for (const std::size_t r : order) {
+        fitted.beam_of_ring[r] = std::uint16_t(sensor.beams.size());
+        sensor.beams.push_back(
+            {.elevation_rad = *elevations[r], .azimuth_offset_rad = lattice.offset_rad[r]});
+    }
+    const std::optional<double> rate = estimate_rotation_rate(*fullest, rings);
+    sensor.columns = lattice.columns;
+    sensor.first_azimuth_rad = kPi - kPi / lattice.columns;
+    sensor.period_s = rate ? 2.0 * kPi / std::abs(*rate) : period_s;
+    sensor.clockwise = !rate || *rate < 0.0;
+    return fitted;
+}
+
+}  // namespace relidar

@@ -1,0 +1,102 @@
+// SPDX-License-Identifier: Apache-2.0
+// Reads and checks the files that describe a log in a plain folder. docs/datasets.md
+// documents the format.
+#pragma once
+
+#include <filesystem>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include <relidar/read/clouds.hpp>
+#include <relidar/read/dataset.hpp>
+
+#include "read/scans/pose_conventions.hpp"
+#include "read/scans/return_pairs.hpp"
+#include "read/scans/scan_plan.hpp"
+
+namespace relidar::read {
+
+inline constexpr const char* kHeadFile = "sequence.json";
+inline constexpr const char* kPosesFile = "poses.txt";
+inline constexpr const char* kBoxesFile = "boxes.json";
+inline constexpr const char* kFormat = "relidar log";
+inline constexpr int kVersion = 1;
+// limits of texts, in bytes
+inline constexpr std::size_t kLongestName = 200, kLongestText = 10000, kLongestPath = 255;
+
+/// Units and meaning of the point values in scan files.
+struct PointFileUnits {
+    /// Names of the columns in .bin and .npy files. Empty means x y z intensity.
+    std::vector<std::string> columns;
+    /// Intensities are divided by this value. If it is not set, values above 1 are an
+    /// error.
+    std::optional<double> intensity_max;
+    double time_unit_s = 1.0;
+    /// True: point times use the clock of the log, otherwise the time of their frame is
+    /// 0.
+    bool absolute_times = false;
+    /// Field with the intensities. If empty, the first field with a usual name.
+    std::string intensity_field = {};
+    /// Position that marks a ray without a return, as NaN does.
+    std::optional<glm::vec3> no_return = {};
+    UnnumberedReturns returns = {};
+    bool ignore_times = false;      ///< true if the times of the points have lost their precision
+    bool skip_wrong_times = false;  ///< true: skips points with wrong times; false: throws
+    double time_zero = 0.0;         ///< value of the point time at the time 0 s, in the unit of the file
+};
+
+struct SequenceHeaderLidar : LidarScanLayout {
+    Lidar lidar;
+    std::string scans;  ///< folder with the scan files, if sequence.json does not list frames
+};
+
+struct SequenceHeaderFrame {
+    int number = 0;
+    double time_s = 0.0;
+    int lidar = 0;
+    std::filesystem::path scan;
+};
+
+struct SequenceHeader {
+    std::string name, conventions;
+    std::int64_t start_unix_ns = 0;
+    Notes notes;
+    std::vector<SequenceHeaderLidar> lidars;
+    std::vector<SequenceHeaderFrame> frames;  ///< all frames of the log, sorted by time and LiDAR
+    bool motion_compensated = false;
+    PointFileUnits units;
+    std::optional<glm::dvec3> world_offset_m;
+};
+
+/// Reads sequence.json. If it does not list the scans, lists the files in the scan
+/// folders.
+/// @param default_max_range_m  maximum range of sensors for which the file contains none
+SequenceHeader read_log_description(const std::filesystem::path& log_folder, double default_max_range_m);
+
+/// Reads the vehicle pose of each frame, if the file exists. Its lines have
+/// - 12 numbers: a 3x4 matrix, row-major; line i belongs to frame number i,
+/// - 8 numbers: time_s x y z qw qx qy qz, or
+/// - 7 numbers: time_s x y z roll pitch yaw.
+/// Poses with times are interpolated. If the vehicle then does not drive forward, other
+/// meanings of the numbers are tested, such as another order of the quaternion.
+/// @param read_scan_pairs_for_pose_check  reads pairs of scans that confirm a meaning;
+/// may be null
+std::optional<std::vector<Pose>> read_frame_poses(const std::filesystem::path& pose_file,
+                                                  const std::vector<SequenceHeaderFrame>& frames,
+                                                  const OverlapScanPairReader& read_scan_pairs_for_pose_check,
+                                                  Notes& notes);
+
+/// Reads boxes.json, if it exists. Ignores labels outside the time of the loaded frames.
+/// @param all_frames  all frames of the log, because labels can refer to frames by number
+std::vector<BoxTrack> read_box_tracks(const std::filesystem::path& box_file,
+                                      const std::vector<SequenceHeaderFrame>& loaded_frames,
+                                      const std::vector<SequenceHeaderFrame>& all_frames);
+
+/// Reads the scans of all frames from files, as the other read_scans() does. Estimates
+/// missing units.
+/// @param scan_files  [frames] scan file of each frame
+void read_scans(LidarSequence& sequence, const ScanLayout& layout, PointFileUnits units,
+                const std::vector<std::filesystem::path>& scan_files, const DatasetOptions& options);
+
+}  // namespace relidar::read

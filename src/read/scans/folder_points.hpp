@@ -1,0 +1,51 @@
+// SPDX-License-Identifier: Apache-2.0
+// Converts a table of points to the points of a scan. Also declares the interface that
+// provides the scans of a log.
+#pragma once
+
+#include <string>
+
+#include <relidar/base/error.hpp>
+#include <relidar/read/clouds.hpp>
+
+#include "read/scans/folder_head.hpp"
+#include "read/files/point_table.hpp"
+
+namespace relidar::read {
+
+struct MostTimesWrong : DataError {
+    using DataError::DataError;
+};
+
+/// Finds the meaning of each field by its name. If the table has the field return_type of
+/// the ROS package Nebula, points with the same ring, time and direction become returns
+/// of one ray. Omits rays without a return: invalid points, and points at
+/// units.no_return.
+/// @param frame_time_s  time that is subtracted from absolute point times
+/// @throws DataError with the number of the invalid point
+LidarPoints convert_table_to_points(const PointTable& table, const PointFileUnits& units, double frame_time_s,
+                                    const std::string& where);
+
+/// Estimates the units that are not known, from the points of some scans. If several
+/// intensity scales are possible, sets none. Intensities above 1 are then an error.
+void estimate_missing_point_units(PointFileUnits& units, const std::vector<std::filesystem::path>& scan_files,
+                                  Notes& notes);
+
+/// Scan of each frame, from files or messages. Several threads can call the functions at
+/// the same time.
+class ScanProvider {
+public:
+    virtual ~ScanProvider() = default;
+    virtual std::string get_frame_name(std::size_t frame_index) const = 0;  ///< name for error messages
+    virtual bool is_stored_as_points(std::size_t frame_index) const = 0;
+    virtual LidarPoints read_points_of_frame(std::size_t frame_index) const = 0;
+    virtual Scan read_rays_of_frame(std::size_t frame_index) const = 0;
+};
+
+/// Reads the scans of all frames. The poses of the frames must be set before. Estimates
+/// unknown beams from the points. Undoes motion compensation, unless the user sets
+/// dataset.poses=none, because the true poses are then unknown.
+void read_scans(LidarSequence& sequence, const ScanLayout& layout, const ScanProvider& scan_provider,
+                const DatasetOptions& options);
+
+}  // namespace relidar::read

@@ -1,0 +1,69 @@
+// SPDX-License-Identifier: Apache-2.0
+// Adds frames, poses and boxes to a log while a reader creates it.
+#include <relidar/read/clouds.hpp>
+
+#include <algorithm>
+#include <cmath>
+#include <unordered_map>
+
+#include "base/fail.hpp"
+
+namespace relidar {
+
+Pose check_rotation_and_make_pose(const glm::dmat3& rotation, const glm::dvec3& translation,
+                                  const std::string& where) {
+    const glm::dmat3 excess = glm::transpose(rotation) * rotation - glm::dmat3(1.0);
+    double worst = 0.0;
+    for (int c = 0; c < 3; ++c) {
+        for (int r = 0; r < 3; ++r) worst = std::max(worst, std::abs(excess[c][r]));
+    }
+    if (!(worst <= 1e-3) || glm::determinant(rotation) < 0.0) {
+        fail(
+            "{}: R^T R differs from the identity by {:.3g}, the determinant is {:.3g}, expected a rotation "
+            "(orthonormal)",
+            where, worst, glm::determinant(rotation));
+    }
+    return {glm::normalize(glm::quat_cast(rotation)), translation};
+}
+
+Pose check_rotation_and_make_pose(std::span<const double> matrix, const std::string& error_location) {
+    const auto& m = matrix;
+    return check_rotation_and_make_pose({m[0], m[4], m[8], m[1], m[5], m[9], m[2], m[6], m[10]},
+                                        {m[3], m[7], m[11]}, error_location);
+}
+
+LidarFrame& add_frame(LidarSequence& sequence, int frame_number, double time_s,
+                      const Pose& world_from_vehicle, int lidar_index) {
+    PoseTrack& track = sequence.world_from_vehicle;
+    if (track.time_s.empty() || track.time_s.back() != time_s) {
+        track.time_s.push_back(time_s);
+        track.pose.push_back(world_from_vehicle);
+    }
+    return sequence.frames.emplace_back(LidarFrame{frame_number, time_s, {}, lidar_index});
+}
+
+void move_world_origin_of_log(LidarSequence& sequence) {
+    const std::vector<Pose>& poses = sequence.world_from_vehicle.pose;
+    if (!poses.empty()) move_world_origin_of_log(sequence, poses[poses.size() / 2].translation);
+}
+
+void move_world_origin_of_log(LidarSequence& sequence, glm::dvec3 new_origin_m) {
+    sequence.world_offset_m += new_origin_m;
+    for (Pose& pose : sequence.world_from_vehicle.pose) pose.translation -= new_origin_m;
+    for (BoxTrack& box : sequence.boxes)
+        for (Pose& pose : box.world_from_box.pose) pose.translation -= new_origin_m;
+}
+
+std::vector<BoxTrack> build_tracks(const std::vector<BoxLabel>& labels) {
+    std::vector<BoxTrack> tracks;
+    std::unordered_map<std::string, std::size_t> track_index_of_id;
+    for (const BoxLabel& label : labels) {
+        const auto [known, is_new] = track_index_of_id.try_emplace(label.id, tracks.size());
+        if (is_new) tracks.push_back({label.id, label.category, label.size_m, {}});
+        PoseTrack& track = tracks[known->second].world_from_box;
+        track.append(label.time_s, label.world_from_box);
+    }
+    return tracks;
+}
+
+}  // namespace relidar

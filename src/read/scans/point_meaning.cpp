@@ -1,0 +1,169 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "read/scans/point_meaning.hpp"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <set>
+
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+
+#include "base/files.hpp"
+#include "read/scans/dropped_ray.hpp"
+
+namespace relidar::read {
+namespace {
+
+// Largest values of the usual intensity scales: percent, 8 bits and 16 bits.
+constexpr double kPercent = 100.0, kByte = 255.0, kTwoBytes = 65535.0;
+constexpr double kFewBrighter = 0.995;  // minimum share of the intensities that must be within the scale
+// A position marks "no return" if (points at this position / all points) is between these
+// limits, because measured points rarely have identical positions.
+constexpr double kLeastMarked = 0.01, kMostMarked = 0.95;
+constexpr std::size_t kFewestMarked = 16;
+constexpr std::size_t kLooks = 1024;  // maximum number of points that are tested for repeated positions
+
+bool is_field_all_zero(const std::vector<PointTable>& clouds, const std::string& field_name) {
+    bool is_zero = true;
+    for (const PointTable& cloud : clouds)
+        if (const PointFieldView* values = cloud.find_field(field_name))
+            values->for_each(cloud.n,
+                             [&](std::size_t, double value) { is_zero = is_zero && !(value != 0.0); });
+    return is_zero;
+}
+
+/// Selects the first candidate that has a value other than 0.
+void choose_and_store_intensity_field(const std::vector<PointTable>& clouds, PointFieldSemantics& semantics) {
+    const std::vector<std::string> names = clouds[0].list_fields_with_attribute(PointAttribute::intensity);
+    if (names.empty()) return;
+    const auto used = std::ranges::find_if(
+        names, [&](const std::string& name) { return !is_field_all_zero(clouds, name); });
+    semantics.intensity_field = used == names.end() ? names[0] : *used;
+    const bool is_usual =
+        semantics.intensity_field == "intensity" || semantics.intensity_field == "reflectivity";
+    if (used == names.end())
+        semantics.notes.push_back(
+            fmt::format("the field '{}', which usually contains intensities, is 0 for all points",
+                        shorten_for_error_message(names[0])));
+    else if (used != names.begin())
+        semantics.notes.push_back(
+            fmt::format("intensities are read from the field '{}', because '{}' is 0 for all points",
+                        shorten_for_error_message(*used), shorten_for_error_message(names[0])));
+    else if (!is_usual)
+        semantics.notes.push_back(
+            fmt::format("intensities are read from the field '{}'", shorten_for_error_message(*used)));
+}
+
+void add_note_on_unread_fields(const std::vector<PointTable>& clouds, PointFieldSemantics& semantics) {
+    std::set<std::string> unread;
+    for (const PointTable& cloud : clouds)
+        for (const std::string& name : cloud.unread) unread.insert(shorten_for_error_message(name));
+    if (unread.empty()) return;
+    semantics.notes.push_back(fmt::format(
+        "these fields of the points are not read: {} (field of the intensities: {})", fmt::join(unread, ", "),
+        semantics.intensity_field.empty()
+            ? "none, because no field has a usual name of intensities"
+            : "'" + shorten_for_error_message(semantics.intensity_field) + "'"));
+}
+
+/// Returns a note, or an empty text.
+std::string describe_negative_intensities(const std::vector<PointTable>& clouds, const std::string& field) {
+    double lowest = 0.0;
+    for (const PointTable& cloud : clouds) {
+        const PointFieldView *values = cloud.find_field(field), *x = cloud.find_field(PointAttribute::x),
+                             *y = cloud.find_field(PointAttribute::y),
+                             *z = cloud.find_field(PointAttribute::z);
+        if (!values || !x || !y || !z) continue;
+        for (std::size_t i = 0; i < cloud.n; ++i)
+            if (const double value = (*values)[i];
+                value < lowest && is_valid_return_point(glm::dvec3((*x)[i], (*y)[i], (*z)[i])))
+                lowest = value;
+    }
+    return lowest < 0.0
+               ? fmt::format("some intensities are negative, down to {:.4g}; they are read as 0", lowest)
+               : "";
+}
+
+/// Some files store all rays without a return as points at one position.
+std::optional<glm::vec3> find_position_that_marks_dropped_rays(const PointTable& cloud) {
+    const std::array<const PointFieldView*, 3> xyz = {cloud.find_field(PointAttribute::x),
+                                                      cloud.find_field(PointAttribute::y),
+                                                      cloud.find_field(PointAttribute::z)};
+    if (!xyz[0] || !xyz[1] || !xyz[2]) return std::nullopt;
+    const auto point = [&](std::size_t index) {
+        return std::array{float((*xyz[0])[index]), float((*xyz[1])[index]), float((*xyz[2])[index])};
+    };
+    const auto is_real = [](const std::array<float, 3>& p) {
+        return is_valid_return_point(glm::vec3(p[0], p[1], p[2]));
+    };
+    std::vector<std::array<float, 3>> some;
+    const std::size_t n = std::min(kLooks, cloud.n);
+    for (std::size_t k = 0; k < n; ++k)
+        if (const auto p = point(k * cloud.n / n); is_real(p)) some.push_back(p);
+    std::ranges::sort(some);
+    std::size_t most = 0, last = 0;
+    for (std::size_t k = 0, run = 0; k < some.size(); ++k) {
+        run = k > 0 && some[k] == some[k - 1] ? run + 1 : 1;
+        if (run > most) {
+            most = run;
+            last = k;
+        }
+    }
+    if (most < 3) return std::nullopt;
+    std::size_t n_marked = 0;
+    for (std::size_t i = 0; i < cloud.n; ++i) n_marked += point(i) == some[last];
+    const double share = double(n_marked) / double(cloud.n);
+    if (n_marked < kFewestMarked || share < kLeastMarked || share > kMostMarked) return std::nullopt;
+    return glm::vec3(some[last][0], some[last][1], some[last][2]);
+}
+
+}  // namespace
+
+IntensityScale estimate_intensity_scale(std::vector<double>& intensities) {
+    std::erase_if(intensities, [](double value) { return !std::isfinite(value); });
+    if (intensities.empty()) return {};
+    const auto [lowest, highest] = std::ranges::minmax(intensities);
+    IntensityScale scale;
+    scale.is_sure = lowest >= 0.0 && (highest <= 1.0 || (highest > kPercent && highest <= kTwoBytes));
+    if (highest <= 1.0) return scale;
+    if (highest <= kByte) {
+        scale.max = kByte;
+        scale.about = fmt::format("intensities up to {:.4g} are divided by 255{}", highest,
+                                  scale.is_sure ? "" : ", but they could also be percentages");
+        return scale;
+    }
+    const auto at = intensities.begin() + std::ptrdiff_t(kFewBrighter * double(intensities.size() - 1));
+    std::nth_element(intensities.begin(), at, intensities.end());
+    scale.max = std::max(*at, 1.0);
+    scale.about =
+        fmt::format("intensities go up to {:.4g}; they are divided by {:.4g}, their 99.5th percentile",
+                    highest, scale.max);
+    return scale;
+}
+
+PointFieldSemantics interpret_point_fields(const std::vector<PointTable>& sample_clouds) {
+    PointFieldSemantics meaning;
+    if (sample_clouds.empty()) return meaning;
+    choose_and_store_intensity_field(sample_clouds, meaning);
+    add_note_on_unread_fields(sample_clouds, meaning);
+    std::vector<double> intensities;
+    for (const PointTable& cloud : sample_clouds)
+        if (const PointFieldView* values = cloud.find_field(meaning.intensity_field))
+            values->for_each(cloud.n, [&](std::size_t, double value) { intensities.push_back(value); });
+    meaning.scale = estimate_intensity_scale(intensities);
+    meaning.returns = find_unnumbered_returns(sample_clouds);
+    if (const std::string text = describe_negative_intensities(sample_clouds, meaning.intensity_field);
+        !text.empty())
+        meaning.notes.push_back(text);
+    if (meaning.returns.exist) meaning.notes.push_back(meaning.returns.about);
+    for (const PointTable& cloud : sample_clouds)
+        if (!meaning.no_return) meaning.no_return = find_position_that_marks_dropped_rays(cloud);
+    if (meaning.no_return)
+        meaning.notes.push_back(fmt::format(
+            "many points have exactly the position ({}, {}, {}); they are read as rays without return",
+            meaning.no_return->x, meaning.no_return->y, meaning.no_return->z));
+    return meaning;
+}
+
+}  // namespace relidar::read

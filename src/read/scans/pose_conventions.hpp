@@ -1,0 +1,64 @@
+// SPDX-License-Identifier: Apache-2.0
+// Finds the meaning of the numbers in a pose file. Some programs write the quaternion in
+// another order, or degrees, or the inverse transform. With the right meaning, the
+// vehicle drives along its x axis, and consecutive scans overlap.
+#pragma once
+
+#include <functional>
+#include <string>
+#include <vector>
+
+#include <relidar/read/points.hpp>
+#include <relidar/log/sequence.hpp>
+
+namespace relidar::read {
+
+/// Orders of the quaternion in a pose file.
+inline constexpr const char *kScalarFirst = "qw qx qy qz", *kScalarLast = "qx qy qz qw";
+
+/// One meaning of the numbers in a pose file.
+struct PoseInterpretation {
+    std::string about;             ///< description for notes
+    PoseTrack world_from_vehicle;  ///< poses according to this meaning
+    /// True if this meaning needs scans that overlap better. Forward motion is not
+    /// enough, because vehicles can also drive backwards.
+    bool needs_scans = false;
+};
+
+/// Pairs of scans for testing poses. With correct poses, the scans of a pair overlap.
+class OverlapScanPairs {
+public:
+    /// @param first_points_m, second_points_m  positions in the vehicle frame
+    void add_scan_pair(double first_time_s, std::vector<glm::vec3> first_points_m, double second_time_s,
+                       std::vector<glm::vec3> second_points_m);
+    bool empty() const { return pairs_.empty(); }
+    /// Returns the share of points of the second scan in a grid cell with a point of the
+    /// first.
+    double compute_scan_overlap_fraction(const PoseTrack& world_from_vehicle) const;
+
+private:
+    struct OverlapScanPair {
+        double first_s, second_s;
+        std::vector<glm::vec3> first_m, second_m;
+    };
+    std::vector<OverlapScanPair> pairs_;
+};
+
+using OverlapScanPairReader = std::function<OverlapScanPairs()>;
+
+/// Returns the index of the meaning that fits the motion of the vehicle and the scans
+/// best: 0, the documented meaning, unless another meaning is clearly better. Adds a note
+/// if the result is not 0, or if the vehicle drives backward and no scans decide.
+/// @param read_scan_pairs_or_null  called only if the motion contradicts the documented
+/// meaning
+/// @param where  name of the file, for the note
+std::size_t choose_pose_interpretation(const std::vector<PoseInterpretation>& interpretations,
+                                       const OverlapScanPairReader& read_scan_pairs_or_null,
+                                       const std::string& where, Notes& notes);
+
+/// Inverts the poses of a log, with a note, if the vehicle then drives forward and
+/// consecutive scans overlap better. Also decides the order of the quaternions if the
+/// reader could not. The log must contain the scans.
+void correct_poses_if_stored_inverted(LidarSequence& sequence);
+
+}  // namespace relidar::read

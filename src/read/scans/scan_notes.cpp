@@ -1,0 +1,92 @@
+// SPDX-License-Identifier: Apache-2.0
+// Notes for users about how points became scans.
+
+#include <fmt/format.h>
+
+#include "read/scans/point_times.hpp"
+#include "read/scans/scan_plan.hpp"
+
+namespace relidar::read {
+namespace {
+
+// If a larger share of the points fits no ray, the sensor of the log is probably wrong.
+constexpr double kMaxSkippedShare = 0.1;
+// If scans are farther apart, the unit of their times is probably wrong, which the check
+// "time_unit" reports.
+constexpr double kMaxFrameStep_s = 20.0;
+
+void add_lidar_note(LidarSequence& sequence, int lidar_index, const std::string& text) {
+    const std::string& name = sequence.lidars[std::size_t(lidar_index)].name;
+    sequence.notes.push_back({"", lidar_index, name.empty() ? text : "LiDAR '" + name + "': " + text});
+}
+
+}  // namespace
+
+void note_plan(LidarSequence& sequence, const ScanLayout& layout, int lidar_index, const ScanPlan& plan,
+               const std::vector<LidarPoints>& samples) {
+    const auto add = [&](const std::string& text) { add_lidar_note(sequence, lidar_index, text); };
+    if (samples.empty()) add("no scan has a point with finite coordinates and a plausible time");
+    if (!plan.problem.empty())
+        add(fmt::format("{}; therefore each point becomes one ray, and dropped rays are unknown{}",
+                        plan.problem,
+                        layout.is_described && !plan.has_rings
+                            ? "; set the key \"sensor\" of the LiDAR in sequence.json to define its beams"
+                            : ""));
+    else if (plan.is_fitted)
+        add(fmt::format("a sensor with {} beams and {} columns was fitted to the points{}{}",
+                        plan.sensor.beams.size(), plan.sensor.columns,
+                        plan.has_rings ? "" : ", which have no rings",
+                        plan.rings == RingSource::order ? "; their order in the file shows the rings" : ""));
+    else if (plan.is_ordered && !plan.has_rings)
+        add("the points have no rings; each point is assigned to the beam with the nearest elevation");
+    if (plan.is_ordered && !plan.has_times && !layout.motion_compensated)
+        add(fmt::format(
+            "the points have no times; relidar computes them from the azimuths and assumes that a "
+            "sweep takes {:.3g} s and that the head faces forward at the time of the frame",
+            plan.sensor.period_s));
+    const double step_s = find_median_frame_step_s(sequence, lidar_index).value_or(INFINITY);
+    if (!layout.motion_compensated && step_s <= kMaxFrameStep_s)
+        if (const std::string text = describe_implausible_times(samples, step_s); !text.empty()) add(text);
+    if (layout.motion_compensated && !plan.undo)
+        add("the scans are motion-compensated. This cannot be undone without times of points and poses, so "
+            "all rays start at the sensor's position at the time of the frame");
+}
+
+void note_skipped_points(LidarSequence& sequence, const ScanLayout& layout,
+                         const std::vector<PointCounts>& counts) {
+    std::size_t n_without_beam = 0, n_late = 0, n_late_scans = 0, worst = 0;
+    for (std::size_t i = 0; i < counts.size(); ++i) {
+        n_without_beam += counts[i].without_beam;
+        n_late += counts[i].late;
+        n_late_scans += counts[i].late > 0;
+        if (counts[i].late > counts[worst].late) worst = i;
+    }
+    if (n_without_beam > 0)
+        sequence.notes.push_back(fmt::format(
+            "{} points are skipped, because the fitted sensor has no beam for their rings", n_without_beam));
+    if (n_late > 0)
+        sequence.notes.push_back(
+            fmt::format("{} points of {} scans are skipped, because their times are outside the sweep of "
+                        "their scan, most of them in frame {}",
+                        n_late, n_late_scans, sequence.frames[worst].index));
+    for (int l = 0; l < std::ssize(sequence.lidars); ++l) {
+        std::size_t n = 0, all = 0;
+        for (std::size_t i = 0; i < counts.size(); ++i) {
+            if (sequence.frames[i].lidar != l) continue;
+            n += counts[i].behind;
+            all += counts[i].first;
+        }
+        if (n == 0) continue;
+        const char* cause = layout.lidars[std::size_t(l)].has_beams && layout.is_described
+                                ? "a sensor in sequence.json that did not measure these points"
+                                : "several returns of each ray without numbers";
+        add_lidar_note(sequence, l,
+                       fmt::format("{} of {} points ({:.2g} %) are skipped, because their ray has a nearer "
+                                   "point and no neighbouring ray is free{}{}",
+                                   n, all, 100.0 * double(n) / double(all),
+                                   double(n) > kMaxSkippedShare * double(all) ? "; the usual cause is " : "",
+                                   double(n) > kMaxSkippedShare * double(all) ? cause : ""));
+    }
+}
+
+}  // namespace relidar::read

@@ -1,0 +1,121 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "read/scans/scan_plan.hpp"
+
+#include <algorithm>
+
+#include "base/fail.hpp"
+#include "base/median.hpp"
+#include "read/scans/point_times.hpp"
+
+namespace relidar::read {
+namespace {
+
+constexpr double kUsualPeriod_s = 0.1;  // if the log has only one frame
+// The slowest spinning LiDARs of vehicles make five revolutions per second. If scans are
+// farther apart, the log has only some of the scans.
+constexpr double kLongestPeriod_s = 0.25;
+
+/// Sets ring numbers of points that have none. Returns false if neither their elevations
+/// nor their order show the rings.
+bool add_rings(ScanPlan& plan, std::vector<LidarPoints>& samples) {
+    // The order fails for Ouster LiDARs, because their rings begin at different azimuths.
+    if (const std::vector<Beam> beams = estimate_beams(samples); !beams.empty()) {
+        for (LidarPoints& sample : samples) assign_points_to_rings(sample, beams);
+        plan.rings = RingSource::elevation;
+        return true;
+    }
+    const RingOrderDetector order(samples);
+    if (!order.is_stored_ring_by_ring()) return false;
+    for (LidarPoints& sample : samples) order.assign_ring_numbers(sample);
+    plan.rings = RingSource::order;
+    plan.order = order;
+    return true;
+}
+
+/// Returns why the samples cannot be scans of the fitted sensor, or an empty text.
+std::string find_contradiction(const ScanPlan& plan, const SpinningSensor& fitted_sensor,
+                               const std::vector<LidarPoints>& samples) {
+    const std::string why = explain_why_not_spinning(samples, fitted_sensor, plan.sensor.period_s);
+    return why.empty() && !plan.has_rings ? explain_removed_points(samples, fitted_sensor) : why;
+}
+
+/// Fits the beams of a spinning LiDAR to the samples, or sets why it cannot.
+void fit_sensor(ScanPlan& plan, std::vector<LidarPoints>& samples) {
+    if (!plan.has_rings && !add_rings(plan, samples)) {
+        plan.problem =
+            "the points have no rings, and neither their order nor their elevations show the rings";
+        return;
+    }
+    try {
+        FittedSensor fit = estimate_spinning_sensor(samples, plan.sensor.period_s);
+        if (fit.sensor.beams.size() * std::size_t(fit.sensor.columns) > kMaxRays)
+            fail("the fitted sensor has {} beams and {} columns, expected at most {} rays",
+                 fit.sensor.beams.size(), fit.sensor.columns, kMaxRays);
+        plan.beam_of_ring = fit.beam_of_ring;
+        plan.problem = find_contradiction(plan, fit.sensor, samples);
+        if (plan.problem.empty()) {
+            fit.sensor.name = plan.sensor.name;
+            fit.sensor.min_range_m = plan.sensor.min_range_m;
+            fit.sensor.max_range_m = plan.sensor.max_range_m;
+            fit.sensor.divergence_rad = plan.sensor.divergence_rad;
+            plan.sensor = std::move(fit.sensor);
+            plan.is_ordered = plan.is_fitted = true;
+        }
+    } catch (const DataError& error) {
+        plan.problem = error.what();
+        plan.is_contradiction = true;
+    }
+    if (!plan.is_ordered) plan.order.reset();
+}
+
+}  // namespace
+
+TimeLimits find_time_limits(const std::vector<LidarPoints>& samples, double sweep_s) {
+    constexpr double kOffsetMargin = 1.5;
+    std::vector<double> spans_s;
+    for (const LidarPoints& points : samples) spans_s.push_back(estimate_sweep_span_s(points));
+    const double span_s = spans_s.empty() ? 0.0 : compute_median(std::move(spans_s));
+    const double longest_offset_s = kOffsetMargin * std::max(span_s, sweep_s);
+    return {longest_offset_s, find_middle_time_s(samples, longest_offset_s)};
+}
+
+std::optional<double> find_median_frame_step_s(const LidarSequence& sequence, int lidar_index) {
+    std::vector<double> steps;
+    double before_s = NAN;
+    for (const LidarFrame& frame : sequence.frames) {
+        if (frame.lidar != lidar_index) continue;
+        if (frame.time_s > before_s) steps.push_back(frame.time_s - before_s);
+        before_s = frame.time_s;
+    }
+    return steps.empty() ? std::nullopt : std::optional(compute_median(std::move(steps)));
+}
+
+double find_sweep_duration_s(const LidarSequence& sequence, const ScanLayout& layout, int lidar_index) {
+    const double known_s = layout.lidars[std::size_t(lidar_index)].sweep_duration_s;
+    if (known_s > 0.0) return known_s;
+    const double step_s = find_median_frame_step_s(sequence, lidar_index).value_or(kUsualPeriod_s);
+    return step_s > kLongestPeriod_s ? step_s / std::round(step_s / kUsualPeriod_s) : step_s;
+}
+
+ScanPlan plan_scans(const LidarScanLayout& layout, SpinningSensor sensor, double sweep_s,
+                    std::vector<LidarPoints> samples, bool motion_compensated, bool has_poses) {
+    ScanPlan plan;
+    plan.sensor = std::move(sensor);
+    plan.has_rings = samples.empty() || !samples[0].ring.empty();
+    plan.has_times = samples.empty() || !samples[0].time_offset_s.empty();
+    plan.undo = motion_compensated && has_poses && plan.has_times;
+    if (plan.sensor.period_s == 0.0 || !layout.has_beams) plan.sensor.period_s = sweep_s;
+    if (layout.has_beams) {
+        plan.is_ordered = true;
+        const std::size_t n = plan.sensor.beams.size();
+        for (std::size_t k = 0; k < n; ++k)
+            plan.beam_of_ring.push_back(std::uint16_t(layout.lowest_first ? n - 1 - k : k));
+        if (!plan.has_rings) plan.rings = RingSource::elevation;
+    } else if (layout.spins && !samples.empty()) {
+        fit_sensor(plan, samples);
+    }
+    if (!plan.is_ordered) plan.sensor.period_s = 0.0;
+    return plan;
+}
+
+}  // namespace relidar::read

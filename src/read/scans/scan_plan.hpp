@@ -1,0 +1,109 @@
+// SPDX-License-Identifier: Apache-2.0
+// Decides how the points of a LiDAR become scans. The same plan serves files and bags:
+// scan_plan.cpp decides, folder_scans.cpp reads, scan_notes.cpp tells the user.
+#pragma once
+
+#include <cmath>
+#include <cstdint>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include <relidar/read/clouds.hpp>
+
+#include "read/files/file_order.hpp"
+
+namespace relidar {
+
+/// Returns why LiDAR points cannot be scans of a spinning LiDAR, or an empty string. In a
+/// spinning LiDAR, all points of a ring have nearly the same elevation. A sweep takes the
+/// time of a full revolution, even if the field of view is limited.
+/// @param scans  some scans, with rings
+/// @param frame_interval_s  time between scans in seconds
+std::string explain_why_not_spinning(const std::vector<LidarPoints>& scans,
+                                     const SpinningSensor& fitted_sensor, double frame_interval_s);
+/// Returns the reason, or an empty string. Points were probably removed, for example by a
+/// filter, if few rays have a return, or if the azimuth steps between the points of a
+/// ring are uneven. Their rays must not be treated as dropped rays.
+/// @param scans  some scans with rings; the rings may have been estimated
+std::string explain_removed_points(const std::vector<LidarPoints>& scans,
+                                   const SpinningSensor& fitted_sensor);
+
+}  // namespace relidar
+
+namespace relidar::read {
+
+/// What a reader knows about the scans of a LiDAR.
+struct LidarScanLayout {
+    bool has_beams = false;     ///< true if the beams of the LiDAR in the log are known
+    bool spins = true;          ///< true if the LiDAR rotates; unknown beams can then be estimated
+    bool lowest_first = false;  ///< true if ring 0 of the scans is the lowest beam
+    /// Duration of a sweep, for points without times. 0: uses the time between frames.
+    double sweep_duration_s = 0.0;
+};
+
+/// What a reader knows about the scans of a log.
+struct ScanLayout {
+    std::vector<LidarScanLayout> lidars = {};
+    bool motion_compensated = false;
+    /// True if the user describes the LiDARs in sequence.json. Points that contradict the
+    /// description are then an error.
+    bool is_described = false;
+};
+
+/// Where the ring of a point comes from.
+enum class RingSource { file, elevation, order };
+
+/// How the points of one LiDAR are converted to scans.
+struct ScanPlan {
+    SpinningSensor sensor;                      ///< beams of the rays; period 0 if each point becomes a ray
+    bool is_ordered = false;                    ///< true if points are assigned to beams and columns
+    bool is_fitted = false;                     ///< true if the sensor was fitted to the points
+    bool has_rings = false, has_times = false;  ///< fields of the points, in all scans
+    bool undo = false;                          ///< true: motion compensation is undone
+    RingSource rings = RingSource::file;
+    /// [rings] beam of each ring number in the files; kNoBeam: points of this ring are
+    /// ignored
+    std::vector<std::uint16_t> beam_of_ring;
+    std::optional<RingOrderDetector> order;  ///< finds rings for RingSource::order
+    std::string problem;                     ///< why no sensor fits the points of a LiDAR that may spin
+    bool is_contradiction = false;           ///< true if the problem contradicts a description
+};
+
+/// Interval of plausible times of points, relative to the time of the frame.
+struct TimeLimits {
+    double longest_offset_s = INFINITY;  ///< largest plausible distance from the median time
+    std::optional<double> middle_s;      ///< median time of most scans; not set if they disagree
+};
+/// @param sweep_s  duration of a sweep
+TimeLimits find_time_limits(const std::vector<LidarPoints>& samples, double sweep_s);
+
+/// Returns the median time between consecutive frames of a LiDAR, if it has several.
+std::optional<double> find_median_frame_step_s(const LidarSequence& sequence, int lidar_index);
+/// Returns the duration of a revolution: the known one, or the median time between frames
+/// divided by the number of revolutions if the log has only every n-th scan.
+double find_sweep_duration_s(const LidarSequence& sequence, const ScanLayout& layout, int lidar_index);
+
+/// Returns the plan for a LiDAR. Estimates unknown beams from the points.
+/// @param sensor  sensor of the LiDAR as far as it is known
+/// @param samples  points of some scans; may be empty
+/// @param has_poses  false: motion compensation cannot be undone
+ScanPlan plan_scans(const LidarScanLayout& layout, SpinningSensor sensor, double sweep_s,
+                    std::vector<LidarPoints> samples, bool motion_compensated, bool has_poses);
+
+/// Numbers of points of a frame, for notes.
+struct PointCounts {
+    std::size_t without_beam = 0, late = 0;
+    std::size_t first = 0;   ///< first returns
+    std::size_t behind = 0;  ///< skipped, because their ray has a nearer point
+};
+/// Adds notes for the user about the plan of a LiDAR.
+/// @param samples  points of some scans
+void note_plan(LidarSequence& sequence, const ScanLayout& layout, int lidar_index, const ScanPlan& plan,
+               const std::vector<LidarPoints>& samples);
+/// Adds notes for the user about points that are skipped.
+/// @param counts  [frames]
+void note_skipped_points(LidarSequence& sequence, const ScanLayout& layout,
+                         const std::vector<PointCounts>& counts);
+
+}  // namespace relidar::read

@@ -1,0 +1,96 @@
+// SPDX-License-Identifier: Apache-2.0
+// Optimises all poses of a track together, so that the points of all scans lie on common
+// planes (bundle adjustment).
+#pragma once
+
+#include <functional>
+#include <optional>
+#include <utility>
+#include <vector>
+
+#include "registration/plane_cells.hpp"
+#include "registration/pose_equations.hpp"
+
+namespace relidar {
+
+/// Planes in the cells of one grid.
+struct PlaneMap {
+    PointCellGrid cells;
+    std::vector<std::optional<LocalPlane>> planes;  ///< [cells]
+
+    /// Returns the plane of the cell that contains a point, or null if there is none.
+    const LocalPlane* find_plane_at(const glm::dvec3& point_m) const;
+};
+
+/// Weights of terms that keep pose corrections small and smooth, relative to one point.
+struct PoseCorrectionPrior {
+    Vector6 pull = Vector6::Zero();  ///< weight of the term that pulls each correction to zero
+    /// weight of the term that makes the corrections of two consecutive poses similar;
+    /// it is multiplied by (0.1 s / time between the poses)
+    Vector6 link = Vector6::Zero();
+};
+
+class PlanePoseAdjustment {
+public:
+    /// @param initial_track  poses before any correction
+    /// @param start  start values of the poses, accurate enough for the first cell size
+    /// @param points  points of all sweeps, sweep by sweep
+    /// @param gauge  [poses] true for the poses whose mean correction is kept at zero, so
+    /// that the track does not move as a unit
+    PlanePoseAdjustment(const PoseTrack& initial_track, const PoseTrack& start,
+                        std::vector<SubsampledPoint> points, std::vector<bool> gauge);
+
+    /// Optimises all poses in several rounds. The cell size and the scale of the robust
+    /// kernel decrease from `first_round_settings` to `last_round_settings`.
+    /// @return statistics of each round; fewer rounds if the callback `should_continue`
+    /// returned false
+    std::vector<RegistrationRound> adjust_poses_in_rounds(
+        const RegistrationRound& first_round_settings, const RegistrationRound& last_round_settings,
+        const std::function<bool(double finished_fraction)>& should_continue);
+    void set_pose_correction_prior(const PoseCorrectionPrior& prior) { prior_ = prior; }
+    PlaneMap fit_planes_to_all_points(const RegistrationRound& round_settings) const;
+    const PoseTrack& track() const { return track_; }
+
+    /// Replaces poses without points and poses whose registration failed by
+    /// interpolation. Too few points of a failed pose lie on planes, or its correction
+    /// differs from both neighbours by more than `max_deviation_m`.
+    /// @param pose_has_points  [poses]
+    /// @return indices of the failed poses
+    std::vector<std::size_t> interpolate_and_list_unregistered_poses(const PlaneMap& map,
+                                                                     const std::vector<bool>& pose_has_points,
+                                                                     double kernel_scale_m,
+                                                                     double max_deviation_m);
+    /// Moves one pose by a Gauss-Newton step towards fixed planes.
+    void align_pose_to_planes(const PlaneMap& map, std::size_t pose_index,
+                              const std::vector<SubsampledPoint>& points, double kernel_scale_m);
+    /// Returns true if enough points of a scan lie on planes to determine its pose.
+    static bool has_enough_points_on_planes(double fraction_on_planes, std::size_t n_points);
+    /// Returns the share of a scan's points that lie on planes of a map.
+    double compute_fraction_on_planes(const PlaneMap& map, std::span<const SubsampledPoint> points,
+                                      double kernel_scale_m) const;
+    /// Returns the smallest difference between the correction of a pose and those of the
+    /// earlier neighbour, the later one, and the interpolation between both, in metres,
+    /// or 0 if one neighbour is missing.
+    /// @param is_neighbour  [poses] true for the poses that are used as neighbours
+    double compute_deviation_from_neighbours_m(std::size_t pose_index,
+                                               const std::vector<bool>& is_neighbour) const;
+    void set_pose(std::size_t pose_index, const Pose& new_pose) { track_.pose[pose_index] = new_pose; }
+
+private:
+    PoseTrack initial_track_, track_, start_;  // start_: poses before the first round
+    std::vector<SubsampledPoint> points_;
+    std::vector<bool> gauge_;
+    std::optional<PoseCorrectionPrior> prior_;
+
+    RegistrationRound adjust_poses_in_one_round(RegistrationRound round_settings, double grid_shift_cells);
+    void add_correction_prior(PoseEquations& equations) const;
+    void remove_mean_pose_correction();
+    void interpolate_corrections(const std::vector<bool>& is_correction_known);
+    /// Returns `pose_index` for a side on which no pose is selected.
+    static std::pair<std::size_t, std::size_t> find_nearest_selected_poses(
+        std::size_t pose_index, const std::vector<bool>& is_selected);
+    double compute_time_fraction(std::size_t before_index, std::size_t pose_index,
+                                 std::size_t after_index) const;
+};
+
+}  // namespace relidar

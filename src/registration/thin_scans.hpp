@@ -1,0 +1,63 @@
+// SPDX-License-Identifier: Apache-2.0
+// Selects the points for registration: a few thousand points per scan, evenly distributed
+// over the surfaces. Points in moving boxes are skipped.
+#pragma once
+
+#include <cstdint>
+#include <vector>
+
+#include <relidar/registration/registration.hpp>
+
+namespace relidar {
+
+/// Sweeps whose poses are registered. A sweep contains the frames of all LiDARs at one
+/// vehicle pose. Sweeps without a frame of the main LiDAR (the one with the most returns
+/// in the log) are not stored here. The corrections of their poses are interpolated.
+struct SweepsToRegister {
+    PoseTrack track;                       ///< [sweeps] poses of the vehicle before registration
+    std::vector<std::size_t> pose;         ///< [sweeps] index in LidarSequence::world_from_vehicle, ascending
+    std::vector<std::vector<int>> frames;  ///< [sweeps] indices in LidarSequence::frames
+};
+SweepsToRegister group_frames_into_sweeps(const LidarSequence& sequence);
+/// Corrects all poses of a log. Interpolates the corrections between registered sweeps.
+PoseTrack apply_sweep_corrections_to_track(const PoseTrack& initial_track, const SweepsToRegister& sweeps,
+                                           const PoseTrack& corrected_track);
+
+/// A measured point, and the two poses of the track between which it was measured.
+struct SubsampledPoint {
+    glm::vec3 point_m;  ///< position in the vehicle frame at the firing time
+    float s = 0.0f;     ///< interpolation weight of the pose with index left + 1
+    std::uint32_t left = 0;
+    std::uint32_t pose = 0;  ///< index of the sweep that contains the point
+};
+/// [sweeps] points of each scan, frame by frame in the order of the rays; empty for
+/// sweeps that are not used
+using SubsampledScans = std::vector<std::vector<SubsampledPoint>>;
+
+/// Positions in the world frame: of a point, and of the vehicle when it measured the
+/// point.
+struct WorldPointWithOrigin {
+    glm::dvec3 point_m, vehicle_m;
+};
+WorldPointWithOrigin transform_point_to_world(const PoseTrack& track, const SubsampledPoint& point);
+/// The vehicle pose at the firing time of a point is interpolated between two poses of
+/// the track. Returns the weight of pose `pose_index` in this interpolation.
+double get_interpolation_weight_of_pose(const SubsampledPoint& point, std::size_t pose_index);
+
+/// Selects returns of a frame, at most one in each cell of size `cell_size_m` in the
+/// sensor frame. Skips returns in moving boxes.
+/// @return indices in the order of the scan
+std::vector<std::size_t> select_one_return_per_cell(const LidarSequence& sequence, int frame_index,
+                                                    const RegistrationOptions& options, double cell_size_m);
+/// Computes the 3D point of one ray of a frame, corrected by the range offset of its
+/// beam.
+/// @param track poses of the sensor; the pose of the ray is interpolated
+/// @param pose_index index in `track` of the pose of this frame
+SubsampledPoint make_subsampled_point(const LidarSequence& sequence, const PoseTrack& track,
+                                      std::size_t pose_index, int frame_index, std::size_t ray_index);
+/// Applies select_one_return_per_cell() to the selected sweeps.
+SubsampledScans downsample_selected_sweeps(const LidarSequence& sequence, const SweepsToRegister& sweeps,
+                                           const std::vector<bool>& is_sweep_selected,
+                                           const RegistrationOptions& options, double cell_size_m);
+
+}  // namespace relidar

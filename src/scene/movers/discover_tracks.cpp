@@ -1,0 +1,266 @@
+// SPDX-License-Identifier: Apache-2.0
+// Finds tracks of moving objects without labels. Clusters the returns at positions where
+// other frames observe empty space. Links the clusters from frame to frame, and fits
+// boxes to the linked clusters. Keeps a box only if other frames prove that it moved.
+#include <relidar/scene/scene.hpp>
+
+#include <algorithm>
+#include <array>
+#include <cstring>
+#include <optional>
+#include <utility>
+
+#include <fmt/format.h>
+
+#include "base/progress_blocks.hpp"
+#include "scene/movers/mover_boxes.hpp"
+#include "scene/movers/mover_clusters.hpp"
+#include "scene/movers/mover_evidence.hpp"
+#include "scene/movers/mover_tracks.hpp"
+
+namespace relidar {
+namespace {
+
+// A second track inside this margin around the box of a person or vehicle is a part of
+// the same object.
+constexpr double kFragment_m = 0.5, kVehicleFragment_m = 1.0;
+// minimum number of points per frame after static points are removed
+constexpr std::size_t kFewestPoints = 5;
+constexpr double kLongest_m = 20.0, kWidest_m = 3.2, kTallest_m = 4.5;
+constexpr double kSlowest_mps = 0.4, kFastest_mps = 50.0;
+constexpr double kVehicle_m = 1.2;  // objects that are at least this long are vehicles, not people
+// Minimum travel as a multiple of the longer side of the box. A static object can seem to
+// travel a shorter distance, because its visible part changes.
+constexpr double kMinTravelPerSize = 0.9;
+constexpr double kStraightness = 0.5;  // minimum ratio of net motion to path length
+// Maximum rotation of a vehicle per metre of its path, plus a constant angle.
+constexpr double kMaxRotationPer_m = 0.4, kMaxExtraRotation_rad = 0.5;
+
+/// Returns true if the size, the speed and the motion of a box are plausible.
+bool is_plausible_moving_box(const BoxTrack& box) {
+    const std::vector<double> speeds = compute_speeds_mps(box);
+    const double fastest = speeds.empty() ? 0.0 : std::ranges::max(speeds),
+                 longest = std::max(box.size_m.x, box.size_m.y);
+    const std::vector<Pose>& poses = box.world_from_box.pose;
+    double path_m = 0.0, rotation_rad = 0.0;
+    for (std::size_t i = 1; i < poses.size(); ++i) {
+        path_m += glm::distance(poses[i - 1].translation, poses[i].translation);
+        rotation_rad += glm::angle(glm::normalize(glm::inverse(poses[i - 1].rotation) * poses[i].rotation));
+    }
+    const double net_m = glm::distance(poses.front().translation, poses.back().translation);
+    const bool turns_on_the_spot =
+        longest > kVehicle_m && rotation_rad > kMaxExtraRotation_rad + kMaxRotationPer_m * path_m;
+    return box.size_m.x < kLongest_m && box.size_m.y < kWidest_m && box.size_m.z < kTallest_m &&
+           fastest > kSlowest_mps && fastest < kFastest_mps && net_m > kMinTravelPerSize * longest &&
+           net_m > kStraightness * path_m && !turns_on_the_spot && box.is_moving();
+}
+
+/// Fits a box to a track if other frames prove that the object moved. First removes the
+/// returns at positions that are also occupied in other frames.
+std::optional<BoxTrack> fit_box_if_motion_proven(const VisibilityChecker& visibility, MoverTrack& track) {
+    TrackMotionEvidence sum;
+    const BoxTrack box = fit_box_to_track(track);
+    for (MoverObservation& o : track.observations)
+        sum += remove_static_returns_and_measure_motion(visibility, o.cluster, box);
+    if (!sum.is_proven_moving()) return std::nullopt;
+    std::erase_if(track.observations, [](const MoverObservation& observation) {
+        return observation.cluster.points_m.size() < kFewestPoints;
+    });
+    if (!is_moving_track(track)) return std::nullopt;
+    BoxTrack result = fit_box_to_track(track);
+    if (!is_plausible_moving_box(result)) return std::nullopt;
+    enlarge_box_to_typical_size(result, track);
+    return result;
+}
+
+/// Extends a labelled box to the times before its first and after its last label. Uses
+/// each of the two parts only if other frames prove that the object moved in it.
+std::optional<BoxTrack> extend_labelled_box_if_motion_proven(const VisibilityChecker& visibility,
+                                                             MoverTrack& track,
+                                                             const BoxTrack& labelled_box) {
+    const BoxTrack box = extend_labelled_box_in_time(track, labelled_box);
+    const double first_s = labelled_box.world_from_box.time_s.front();
+    TrackMotionEvidence before, after;
+    for (MoverObservation& o : track.observations)
+        if (!is_labelled(o))
+            (o.frame_time_s < first_s ? before : after) +=
+                remove_static_returns_and_measure_motion(visibility, o.cluster, box);
+    std::erase_if(track.observations, [&](const MoverObservation& observation) {
+        return !is_labelled(observation) &&
+               (observation.cluster.points_m.size() < kFewestPoints ||
+                !(observation.frame_time_s < first_s ? before : after).is_proven_moving());
+    });
+    if (std::ranges::all_of(track.observations, is_labelled)) return std::nullopt;
+    return extend_labelled_box_in_time(track, labelled_box);
+}
+
+/// Fixed-size data of a box, for the exchange between processes.
+struct BoxRecord {
+    glm::dvec3 size_m;
+    std::uint64_t n_poses, n_before, n_after;
+    std::int64_t label;
+    std::array<char, 16> size_guess;
+};
+
+/// Collects the boxes from all processes. A labelled track has the id and class of its
+/// label.
+std::vector<BoxTrack> gather_boxes_of_all_processes(const ProcessGroup& group,
+                                                    const std::vector<MoverTrack>& tracks,
+                                                    const std::vector<std::optional<BoxTrack>>& found_boxes,
+                                                    std::size_t first_track, const LidarSequence& sequence) {
+    std::vector<BoxRecord> heads;
+    std::vector<double> times_s;
+    std::vector<Pose> poses;
+    for (std::size_t i = 0; i < found_boxes.size(); ++i) {
+        if (!found_boxes[i]) continue;
+        const BoxTrack& box = *found_boxes[i];
+        const PoseTrack& track = box.world_from_box;
+        BoxRecord& head = heads.emplace_back(BoxRecord{
+            box.size_m, track.pose.size(), box.n_before, box.n_after, tracks[first_track + i].label, {}});
+        std::strncpy(head.size_guess.data(), box.size_guess.c_str(), head.size_guess.size() - 1);
+        times_s.insert(times_s.end(), track.time_s.begin(), track.time_s.end());
+        poses.insert(poses.end(), track.pose.begin(), track.pose.end());
+    }
+    heads = group.gather_from_all_processes(std::move(heads));
+    times_s = group.gather_from_all_processes(std::move(times_s));
+    poses = group.gather_from_all_processes(std::move(poses));
+    std::vector<BoxTrack> boxes;
+    std::ptrdiff_t at = 0;
+    for (const BoxRecord& head : heads) {
+        const std::ptrdiff_t end = at + std::ptrdiff_t(head.n_poses);
+        const BoxTrack* label = head.label == kNoLabel ? nullptr : &sequence.boxes[std::size_t(head.label)];
+        boxes.push_back(
+            {label ? label->id : "",
+             label ? label->category : kDiscoveredCategory,
+             head.size_m,
+             {{times_s.begin() + at, times_s.begin() + end}, {poses.begin() + at, poses.begin() + end}},
+             head.size_guess.data(),
+             head.n_before,
+             head.n_after});
+        at = end;
+    }
+    return boxes;
+}
+
+/// Returns the boxes of all objects that are proven to have moved. Each process of the
+/// group checks a share of the tracks.
+std::vector<BoxTrack> fit_boxes_of_proven_moving_objects(VisibilityChecker& visibility,
+                                                         std::vector<MoverTrack>& tracks,
+                                                         const LidarSequence& sequence,
+                                                         const ProgressReporter& progress,
+                                                         const ProcessGroup& group) {
+    const ProcessGroup::PartRange share = group.get_range_of_process(tracks.size());
+    for (std::size_t i = share.begin; i < share.end; ++i)
+        for (const MoverObservation& o : tracks[i].observations)
+            visibility.create_range_images_for_points(o.cluster.points_m);
+    std::vector<std::optional<BoxTrack>> proven_boxes(share.end - share.begin);
+    parallel_for_with_progress(
+        proven_boxes.size(), progress, "computing the paths of moving objects", [&](std::size_t index) {
+            MoverTrack& track = tracks[share.begin + index];
+            proven_boxes[index] = track.label == kNoLabel
+                                      ? fit_box_if_motion_proven(visibility, track)
+                                      : extend_labelled_box_if_motion_proven(
+                                            visibility, track, sequence.boxes[std::size_t(track.label)]);
+        });
+    return gather_boxes_of_all_processes(group, tracks, proven_boxes, share.begin, sequence);
+}
+
+/// Returns true if the centre of `inner_box` is inside the enlarged `outer_box` for more
+/// than half of the time.
+bool is_mostly_inside_box(const BoxTrack& inner_box, const BoxTrack& outer_box) {
+    const double margin =
+        std::max(outer_box.size_m.x, outer_box.size_m.y) < kVehicle_m ? kFragment_m : kVehicleFragment_m;
+    std::size_t inside = 0;
+    for (std::size_t i = 0; i < inner_box.world_from_box.time_s.size(); ++i) {
+        const double t_s = inner_box.world_from_box.time_s[i];
+        inside += outer_box.is_observed_at_time(t_s) &&
+                  outer_box.contains_point(inner_box.world_from_box.pose[i].translation, t_s, margin);
+    }
+    return 2 * inside > inner_box.world_from_box.time_s.size();
+}
+
+bool has_id_of_labelled_object(const BoxTrack& box) { return !box.id.empty(); }
+
+/// Keeps one box of each object. Prefers a box with the id of a labelled object, then the
+/// box with the most observations. Boxes with different such ids are never duplicates.
+std::vector<BoxTrack> remove_duplicate_boxes(std::vector<BoxTrack> boxes) {
+    std::ranges::stable_sort(boxes, [](const BoxTrack& first, const BoxTrack& second) {
+        return std::pair(has_id_of_labelled_object(first), first.world_from_box.time_s.size()) >
+               std::pair(has_id_of_labelled_object(second), second.world_from_box.time_s.size());
+    });
+    std::vector<BoxTrack> unique_boxes;
+    for (const BoxTrack& box : boxes)
+        if (std::ranges::none_of(unique_boxes, [&](const BoxTrack& other) {
+                return has_id_of_labelled_object(box) ? box.id == other.id : is_mostly_inside_box(box, other);
+            }))
+            unique_boxes.push_back(box);
+    return unique_boxes;
+}
+
+/// Returns true if the track belongs to an unlabelled object that moves, or to a labelled
+/// object that was also observed outside the time of its labels.
+bool should_fit_box(const MoverTrack& track, const PoseTrack& world_from_vehicle) {
+    return track.label == kNoLabel ? is_moving_track(track) && !is_fixed_to_vehicle(track, world_from_vehicle)
+                                   : !std::ranges::all_of(track.observations, is_labelled);
+}
+
+/// Returns the boxes of the moving objects that one LiDAR observed.
+std::vector<BoxTrack> discover_movers_of_lidar(int lidar_index, const LidarSequence& sequence,
+                                               std::vector<int> frame_indices,
+                                               const ProgressReporter& progress, const ProcessGroup& group) {
+    std::erase_if(frame_indices,
+                  [&](int position) { return sequence.frames[std::size_t(position)].lidar != lidar_index; });
+    std::vector<double> times;
+    for (const int position : frame_indices) times.push_back(sequence.frames[std::size_t(position)].time_s);
+    VisibilityChecker visibility(sequence, frame_indices);
+    std::vector<MoverTrack> tracks = link_clusters_to_tracks(
+        find_mover_clusters(sequence, frame_indices, visibility, progress, group), times, sequence);
+    std::erase_if(
+        tracks, [&](const MoverTrack& track) { return !should_fit_box(track, sequence.world_from_vehicle); });
+    merge_tracks_of_same_object(tracks);
+    return remove_duplicate_boxes(
+        fit_boxes_of_proven_moving_objects(visibility, tracks, sequence, progress, group));
+}
+
+/// Adds the boxes that another LiDAR found. Of two boxes of an object, prefers the one
+/// with the id of a labelled object. Otherwise keeps the box in `boxes`, unless the other
+/// has more than 1.5 times as many observations.
+void merge_boxes_of_lidars(std::vector<BoxTrack>& boxes, std::vector<BoxTrack> boxes_of_other_lidar) {
+    for (BoxTrack& other : boxes_of_other_lidar) {
+        const auto is_same = [&](const BoxTrack& b) {
+            return has_id_of_labelled_object(b) && has_id_of_labelled_object(other)
+                       ? b.id == other.id
+                       : is_mostly_inside_box(other, b) || is_mostly_inside_box(b, other);
+        };
+        const auto stays = [&](const BoxTrack& b) {
+            if (has_id_of_labelled_object(b) != has_id_of_labelled_object(other))
+                return has_id_of_labelled_object(b);
+            return 2 * other.world_from_box.time_s.size() <= 3 * b.world_from_box.time_s.size();
+        };
+        if (std::ranges::any_of(boxes, [&](const BoxTrack& b) { return is_same(b) && stays(b); })) continue;
+        std::erase_if(boxes, is_same);
+        boxes.push_back(std::move(other));
+    }
+}
+
+}  // namespace
+
+std::vector<BoxTrack> discover_moving_object_tracks(const LidarSequence& sequence,
+                                                    const std::vector<int>& train_frame_indices,
+                                                    const ProgressReporter& progress,
+                                                    const ProcessGroup& group) {
+    std::vector<BoxTrack> boxes;
+    // A joint search would add an object twice to one track if two LiDARs scanned at the
+    // same time.
+    for (int lidar = 0; lidar < int(sequence.lidars.size()); ++lidar)
+        merge_boxes_of_lidars(
+            boxes, discover_movers_of_lidar(lidar, sequence, train_frame_indices, progress, group));
+    std::stable_partition(boxes.begin(), boxes.end(),
+                          [](const BoxTrack& box) { return !has_id_of_labelled_object(box); });
+    int n = 0;
+    for (BoxTrack& box : boxes)
+        if (!has_id_of_labelled_object(box)) box.id = fmt::format("mover-{}", n++);
+    return boxes;
+}
+
+}  // namespace relidar

@@ -1,0 +1,310 @@
+// SPDX-License-Identifier: Apache-2.0
+// Decides which returns of a frame belong to moving objects. Groups these returns into
+// clusters.
+#include "scene/movers/mover_clusters.hpp"
+
+#include <algorithm>
+#include <iterator>
+#include <span>
+#include <unordered_map>
+#include <utility>
+
+#include "base/geometry/cell_key.hpp"
+#include "base/geometry/cell_numbers.hpp"
+#include "base/parallel.hpp"
+
+namespace relidar {
+namespace {
+
+constexpr double kMaxRange_m = 40.0;  // beyond this range, a person has only one or two returns
+// Edge length of the cells for which the program decides whether their returns moved.
+constexpr double kCell_m = 0.2;
+// Edge length of a square on the ground.
+constexpr double kSquare_m = 0.3;
+// Two returns belong to the same object if their squares are at most this many squares
+// apart along x and along y.
+constexpr int kReach = 2;
+constexpr double kMinPoints = 12;  // minimum number of moved returns in a cluster
+constexpr double kMaxLength_m = 14.0;
+// Minimum ratio (frames that find a cell empty) / (frames with a return in it) of a moved
+// cell. The threshold is low, because a vehicle often hides empty cells behind it.
+constexpr double kMinEmptyShare = 0.25;
+// A static object is usually visible in more frames than this.
+constexpr int kTooFewFrames = 3;
+// Points farther below the lowest moved point of a cluster belong to the ground.
+constexpr double kGroundBelow_m = 0.05;
+// Vertical gap that separates two objects. At 29 m, beams that are two degrees apart
+// leave a gap of this size.
+constexpr double kGapAbove_m = 1.0;
+constexpr double kMovedShare = 0.15;  // minimum share of moved returns in a cluster
+// Minimum number of consecutive frames in a group. Cells at the border between two groups
+// are computed twice.
+constexpr std::size_t kStretch = 200;
+
+/// `moved`: other frames find the cell empty. `rarely_observed`: too few frames observe
+/// the cell. It becomes part of an object only if it is next to a `moved` cell.
+enum class CellMotionState : char { rests, rarely_observed, moved };
+
+/// One return of a frame.
+struct MoverReturn {
+    glm::vec3 point_m;
+    double time_s;
+    std::uint32_t cell;
+    CellMotionState motion = CellMotionState::rests;
+};
+
+/// Labelled box at the time of a frame.
+struct LabelledBox {
+    BoxTrack box;
+    int label;  ///< kNoLabel if the box is static
+};
+
+/// Returns the labelled boxes at a given time: a moving box only during the time of its
+/// labels, a static box at all times, because the object was probably parked there.
+std::vector<LabelledBox> find_labelled_boxes_at(const LidarSequence& sequence, double time_s) {
+    std::vector<LabelledBox> boxes;
+    for (std::size_t i = 0; i < sequence.boxes.size(); ++i) {
+        const BoxTrack& box = sequence.boxes[i];
+        const PoseTrack& track = box.world_from_box;
+        if (track.pose.empty()) continue;
+        if (box.is_moving()) {
+            if (box.is_observed_at_time(time_s)) boxes.push_back({box, static_cast<int>(i)});
+            continue;
+        }
+        BoxTrack& still = boxes.emplace_back(LabelledBox{box, kNoLabel}).box;
+        still.world_from_box = {
+            {time_s},
+            {track.interpolate_pose(std::clamp(time_s, track.time_s.front(), track.time_s.back()))}};
+    }
+    return boxes;
+}
+
+/// LiDAR returns of one frame within 40 m. `others` are the returns outside all labelled
+/// boxes. `of_labels` has one cluster of returns for each moving labelled box. Returns in
+/// static labelled boxes are left out.
+struct FrameMoverReturns {
+    std::vector<MoverReturn> others;
+    std::vector<MoverCluster> of_labels;
+};
+
+/// Converts sums over the points of a cluster, time and centre, to means.
+MoverCluster divide_sums_by_point_count(MoverCluster cluster_sums) {
+    cluster_sums.time_s /= double(cluster_sums.points_m.size());
+    cluster_sums.centre_m /= double(cluster_sums.points_m.size());
+    return cluster_sums;
+}
+
+FrameMoverReturns split_returns_by_labelled_boxes(const LidarSequence& sequence, const LidarFrame& frame) {
+    const std::vector<LabelledBox> labelled = find_labelled_boxes_at(sequence, frame.time_s);
+    std::vector<MoverCluster> of_boxes(labelled.size());
+    FrameMoverReturns result;
+    for (std::size_t ray = 0; ray < frame.scan.range_m.size(); ++ray) {
+        if (!(frame.scan.range_m[ray] > 0.0f && frame.scan.range_m[ray] < kMaxRange_m)) continue;
+        const WorldReturn w = compute_world_return(sequence, frame, ray);
+        const auto in = std::ranges::find_if(labelled, [&](const LabelledBox& l) {
+            return l.box.contains_point(w.point_m, w.time_s, kMoverMargin_m);
+        });
+        if (in == labelled.end()) {
+            result.others.push_back({glm::vec3(w.point_m), w.time_s, 0, CellMotionState::rests});
+            // The margin would contain points of the ground.
+        } else if (in->label != kNoLabel && in->box.contains_point(w.point_m, w.time_s, 0.0)) {
+            MoverCluster& cluster = of_boxes[std::size_t(in - labelled.begin())];
+            cluster.label = in->label;
+            cluster.time_s += w.time_s;
+            cluster.centre_m += w.point_m;
+            cluster.points_m.push_back(w.point_m);
+        }
+    }
+    for (MoverCluster& cluster : of_boxes)
+        if (!cluster.points_m.empty())
+            result.of_labels.push_back(divide_sums_by_point_count(std::move(cluster)));
+    return result;
+}
+
+/// Assigns each return to a cell of a world grid.
+/// @return [cells] mean position of the returns in each cell
+std::vector<glm::vec3> assign_grid_cells_and_get_mean_points(std::vector<FrameMoverReturns>& frames) {
+    std::vector<MoverReturn*> all;
+    for (FrameMoverReturns& frame : frames)
+        for (MoverReturn& r : frame.others) all.push_back(&r);
+    const ItemCellIndices numbers = number_cells_and_assign_items(all.size(), [&](std::size_t index) {
+        return compute_grid_cell_key(glm::dvec3(all[index]->point_m), kCell_m);
+    });
+    const CellItemLists items(numbers);
+    parallel_for_in_blocks(all.size(), [&](std::size_t index) { all[index]->cell = numbers.of[index]; });
+    std::vector<glm::vec3> means(items.size());
+    parallel_for_in_blocks(items.size(), [&](std::size_t cell) {
+        glm::dvec3 sum(0.0);
+        for (const std::uint32_t i : items.get_item_indices_of_cell(cell)) sum += glm::dvec3(all[i]->point_m);
+        means[cell] = glm::vec3(sum / double(items.get_item_indices_of_cell(cell).size()));
+    });
+    return means;
+}
+
+/// Returns the lower and the upper limit of an object above the ground. Splits the
+/// heights of its moved returns at large gaps, for example between a car and a tree above
+/// it. Uses the part with the most heights, and adds a margin.
+std::pair<double, double> find_object_height_range(std::vector<double> heights_m) {
+    std::sort(heights_m.begin(), heights_m.end());
+    std::size_t best = 0, n_best = 0;
+    for (std::size_t first = 0, end; first < heights_m.size(); first = end) {
+        for (end = first + 1; end < heights_m.size() && heights_m[end] - heights_m[end - 1] < kGapAbove_m;)
+            ++end;
+        if (end - first > n_best) {
+            best = first;
+            n_best = end - first;
+        }
+    }
+    return {heights_m[best] - kGroundBelow_m, heights_m[best + n_best - 1] + kGapAbove_m};
+}
+
+/// Groups returns that are close to each other in the view from above. A return whose
+/// motion is unknown joins a group only if it is next to a moved return.
+std::vector<MoverCluster> cluster_moved_returns(const std::vector<MoverReturn>& returns) {
+    std::unordered_map<std::uint64_t, std::vector<std::uint32_t>> squares;
+    const auto square_of = [](const glm::dvec3& point) {
+        return compute_grid_cell_key({point.x, point.y, 0.0}, kSquare_m);
+    };
+    for (std::uint32_t i = 0; i < returns.size(); ++i)
+        squares[square_of(glm::dvec3(returns[i].point_m))].push_back(i);
+    std::vector<char> is_grouped(returns.size(), 0);
+    std::vector<MoverCluster> clusters;
+    for (std::uint32_t start = 0; start < returns.size(); ++start) {
+        if (is_grouped[start] || returns[start].motion != CellMotionState::moved) continue;
+        MoverCluster cluster;
+        std::vector<std::uint32_t> open{start}, members;
+        std::vector<double> moved_at_m;
+        is_grouped[start] = 1;
+        while (!open.empty()) {
+            members.push_back(open.back());
+            const MoverReturn& here = returns[open.back()];
+            const glm::dvec3 p(here.point_m);
+            open.pop_back();
+            if (here.motion != CellMotionState::moved) continue;
+            moved_at_m.push_back(p.z);
+            for (int dx = -kReach; dx <= kReach; ++dx)
+                for (int dy = -kReach; dy <= kReach; ++dy) {
+                    const auto neighbour_square =
+                        squares.find(square_of(p + kSquare_m * glm::dvec3(dx, dy, 0.0)));
+                    if (neighbour_square == squares.end()) continue;
+                    for (const std::uint32_t j : neighbour_square->second)
+                        if (!std::exchange(is_grouped[j], 1)) open.push_back(j);
+                    neighbour_square->second.clear();  // all returns of this square have been added
+                }
+        }
+        const auto [bottom_m, top_m] = find_object_height_range(std::move(moved_at_m));
+        glm::dvec3 low(1e30), high(-1e30);
+        double n_moved = 0.0;
+        for (const std::uint32_t member : members) {
+            const glm::dvec3 p(returns[member].point_m);
+            if (p.z < bottom_m || p.z > top_m) continue;
+            n_moved += returns[member].motion == CellMotionState::moved;
+            cluster.time_s += returns[member].time_s;
+            cluster.points_m.push_back(p);
+            cluster.centre_m += p;
+            low = glm::min(low, p);
+            high = glm::max(high, p);
+        }
+        if (n_moved >= kMinPoints && n_moved >= kMovedShare * double(cluster.points_m.size()) &&
+            glm::length(glm::dvec2(high - low)) < kMaxLength_m)
+            clusters.push_back(divide_sums_by_point_count(std::move(cluster)));
+    }
+    return clusters;
+}
+
+using ClustersByFrame = std::vector<std::vector<MoverCluster>>;  // [frames]
+
+/// Returns the clusters of points on moving objects in consecutive frames.
+ClustersByFrame find_clusters_in_frames(const LidarSequence& sequence, std::span<const int> frame_indices,
+                                        VisibilityChecker& visibility) {
+    std::vector<FrameMoverReturns> frames(frame_indices.size());
+    parallel_for(static_cast<int>(frame_indices.size()), [&](int index) {
+        frames[std::size_t(index)] = split_returns_by_labelled_boxes(
+            sequence, sequence.frames[std::size_t(frame_indices[std::size_t(index)])]);
+    });
+    const std::vector<glm::vec3> cells = assign_grid_cells_and_get_mean_points(frames);
+    visibility.create_range_images_for_points(cells);
+    std::vector<CellMotionState> motion(cells.size());
+    parallel_for_in_blocks(cells.size(), [&](std::size_t index) {
+        const VisibilityChecker::VisibilityVotes votes = visibility.count_visibility_votes(cells[index]);
+        if (votes.is_empty_space(kMinEmptyShare)) motion[index] = CellMotionState::moved;
+        else if (votes.n_occupied <= kTooFewFrames) motion[index] = CellMotionState::rarely_observed;
+        else motion[index] = CellMotionState::rests;
+    });
+    ClustersByFrame clusters(frames.size());
+    parallel_for(static_cast<int>(frames.size()), [&](int index) {
+        FrameMoverReturns& frame = frames[std::size_t(index)];
+        for (MoverReturn& r : frame.others) r.motion = motion[r.cell];
+        std::erase_if(frame.others, [](const MoverReturn& r) { return r.motion == CellMotionState::rests; });
+        clusters[std::size_t(index)] = cluster_moved_returns(frame.others);
+        std::ranges::move(frame.of_labels, std::back_inserter(clusters[std::size_t(index)]));
+    });
+    return clusters;
+}
+
+ClustersByFrame gather_clusters_of_all_processes(const ProcessGroup& group,
+                                                 const ClustersByFrame& local_clusters) {
+    if (group.size == 1) return local_clusters;
+    struct ClusterRecord {
+        double time_s;
+        glm::dvec3 centre_m;
+        std::uint64_t n_points;
+        std::int64_t label;
+    };
+    std::vector<std::uint64_t> n_clusters;  // [frames]
+    std::vector<ClusterRecord> heads;
+    std::vector<glm::dvec3> points;
+    for (const std::vector<MoverCluster>& frame : local_clusters) {
+        n_clusters.push_back(frame.size());
+        for (const MoverCluster& cluster : frame) {
+            heads.push_back({cluster.time_s, cluster.centre_m, cluster.points_m.size(), cluster.label});
+            points.insert(points.end(), cluster.points_m.begin(), cluster.points_m.end());
+        }
+    }
+    n_clusters = group.gather_from_all_processes(std::move(n_clusters));
+    heads = group.gather_from_all_processes(std::move(heads));
+    points = group.gather_from_all_processes(std::move(points));
+    ClustersByFrame all;
+    auto head = heads.begin();
+    auto point = points.begin();
+    for (const std::uint64_t n : n_clusters) {
+        std::vector<MoverCluster>& frame = all.emplace_back();
+        for (std::uint64_t i = 0; i < n; ++i, ++head) {
+            const auto end = point + std::ptrdiff_t(head->n_points);
+            frame.push_back({head->time_s, head->centre_m, {point, end}, static_cast<int>(head->label)});
+            point = end;
+        }
+    }
+    return all;
+}
+
+}  // namespace
+
+void MoverCluster::merge_cluster(const MoverCluster& other_cluster) {
+    const double n = double(points_m.size()), m = double(other_cluster.points_m.size());
+    time_s = (n * time_s + m * other_cluster.time_s) / (n + m);
+    centre_m = (n * centre_m + m * other_cluster.centre_m) / (n + m);
+    points_m.insert(points_m.end(), other_cluster.points_m.begin(), other_cluster.points_m.end());
+}
+
+std::vector<std::vector<MoverCluster>> find_mover_clusters(const LidarSequence& sequence,
+                                                           const std::vector<int>& frame_indices,
+                                                           VisibilityChecker& visibility,
+                                                           const ProgressReporter& progress,
+                                                           const ProcessGroup& group) {
+    const std::size_t n_stretches = std::max<std::size_t>(1, frame_indices.size() / kStretch);
+    const auto first_of = [&](std::size_t stretch) { return frame_indices.size() * stretch / n_stretches; };
+    const ProcessGroup::PartRange share = group.get_range_of_process(n_stretches);
+    ClustersByFrame process_clusters;
+    for (std::size_t s = share.begin; s < share.end; ++s) {
+        if (progress)
+            progress("finding moving objects", double(s - share.begin) / double(share.end - share.begin));
+        const std::span<const int> stretch =
+            std::span(frame_indices).subspan(first_of(s), first_of(s + 1) - first_of(s));
+        ClustersByFrame section_clusters = find_clusters_in_frames(sequence, stretch, visibility);
+        std::move(section_clusters.begin(), section_clusters.end(), std::back_inserter(process_clusters));
+    }
+    return gather_clusters_of_all_processes(group, process_clusters);
+}
+
+}  // namespace relidar

@@ -1,0 +1,130 @@
+// SPDX-License-Identifier: Apache-2.0
+// Fits a smoothing spline to noisy positions. The spline is the mean of a random walk
+// with white noise on the jerk. A Kalman filter runs forward, and a Rauch-Tung-Striebel
+// smoother runs backward:
+//   state = (p, v, a)
+//   F = [1 dt dt^2/2; 0 1 dt; 0 0 1]
+//   Q = q [dt^5/20 dt^4/8 dt^3/6; dt^4/8 dt^3/3 dt^2/2; dt^3/6 dt^2/2 dt]
+#include "scene/movers/mover_path.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+namespace relidar {
+namespace {
+
+// standard deviation of the observed position of an object's near end
+constexpr double kPositionNoise_m = 0.1;
+// Spectral density q of the white noise on the jerk, m^2/s^5. With a position every 0.1
+// s, the path follows motions that take longer than 0.4 s and smooths shorter motions.
+constexpr double kJerk = 0.2;
+// A position at this distance from the path has half the weight of one on the path.
+constexpr double kFarFromPath_m = 0.3;
+constexpr int kPathRounds = 3;
+// The heading at a position is the direction of a chord of the path. The chord begins at
+// this distance before the position and ends at this distance after it.
+constexpr double kChord_m = 1.5;
+// A path through a, p and b turns back at p if |ab| / max(|ap|, |pb|) is below this
+// ratio. The heading at p is then the direction from a to p instead of from a to b.
+constexpr double kTurnsBack = 0.3;
+
+/// Each column of `state` is a world axis. The rows are position, velocity, acceleration.
+struct KalmanState {
+    glm::dmat3 state{0.0}, covariance{0.0};
+};
+
+glm::dmat3 make_transition_matrix(double dt_s) {
+    return {1.0, 0.0, 0.0, dt_s, 1.0, 0.0, 0.5 * dt_s * dt_s, dt_s, 1.0};
+}
+
+glm::dmat3 make_process_noise_covariance(double dt_s) {
+    const double d2 = dt_s * dt_s, d3 = d2 * dt_s, d4 = d3 * dt_s;
+    return kJerk * glm::dmat3(d4 * dt_s / 20.0, d4 / 8.0, d3 / 6.0, d4 / 8.0, d3 / 3.0, d2 / 2.0, d3 / 6.0,
+                              d2 / 2.0, dt_s);
+}
+
+std::vector<KinematicState> run_kalman_smoother(const std::vector<double>& times_s,
+                                                const std::vector<glm::dvec3>& positions_m,
+                                                const std::vector<double>& weights) {
+    const std::size_t n = times_s.size();
+    std::vector<KalmanState> filtered(n), before(n);
+    before[0].covariance = glm::dmat3(1e3, 0.0, 0.0, 0.0, 1e3, 0.0, 0.0, 0.0, 10.0);
+    for (int axis = 0; axis < 3; ++axis) before[0].state[axis][0] = positions_m[0][axis];
+    for (std::size_t k = 0; k < n; ++k) {
+        if (k > 0) {
+            const KalmanState& previous = filtered[k - 1];
+            const double dt_s = times_s[k] - times_s[k - 1];
+            const glm::dmat3 f = make_transition_matrix(dt_s);
+            before[k] = {f * previous.state,
+                         f * previous.covariance * glm::transpose(f) + make_process_noise_covariance(dt_s)};
+        }
+        filtered[k] = before[k];
+        const glm::dvec3 column = before[k].covariance[0];
+        const glm::dvec3 gain = column / (column.x + kPositionNoise_m * kPositionNoise_m / weights[k]);
+        for (int axis = 0; axis < 3; ++axis)
+            filtered[k].state[axis] += gain * (positions_m[k][axis] - before[k].state[axis][0]);
+        filtered[k].covariance -= glm::outerProduct(gain, column);
+    }
+    std::vector<KinematicState> path(n);
+    glm::dmat3 state = filtered[n - 1].state;
+    for (std::size_t k = n; k-- > 0;) {
+        if (k + 1 < n) {
+            const glm::dmat3 back = filtered[k].covariance *
+                                    glm::transpose(make_transition_matrix(times_s[k + 1] - times_s[k])) *
+                                    glm::inverse(before[k + 1].covariance);
+            state = filtered[k].state + back * (state - before[k + 1].state);
+        }
+        const glm::dmat3 rows = glm::transpose(state);
+        path[k] = {rows[0], rows[1], rows[2]};
+    }
+    return path;
+}
+
+/// Returns the first point of the path at the distance kChord_m from one of its
+/// positions, or the end of the path.
+glm::dvec2 find_path_point_at_chord_length(const std::vector<glm::dvec3>& path_m, std::size_t start_index,
+                                           int index_step) {
+    const glm::dvec2 here(path_m[start_index]);
+    glm::dvec2 last = here;
+    for (auto k = std::ptrdiff_t(start_index) + index_step; k >= 0 && k < std::ptrdiff_t(path_m.size());
+         k += index_step) {
+        const glm::dvec2 next(path_m[std::size_t(k)]);
+        const double last_distance_m = glm::distance(here, last), next_distance_m = glm::distance(here, next);
+        if (next_distance_m >= kChord_m)
+            return glm::mix(last, next,
+                            (kChord_m - last_distance_m) / std::max(next_distance_m - last_distance_m, 1e-9));
+        last = next;
+    }
+    return last;
+}
+
+}  // namespace
+
+std::vector<KinematicState> smooth_path(const std::vector<double>& times_s,
+                                        const std::vector<glm::dvec3>& positions_m) {
+    std::vector<double> weights(times_s.size(), 1.0);
+    std::vector<KinematicState> path;
+    for (int round = 0; round < kPathRounds; ++round) {
+        path = run_kalman_smoother(times_s, positions_m, weights);
+        for (std::size_t k = 0; k < path.size(); ++k) {
+            const double off = glm::length(glm::dvec2(positions_m[k] - path[k].position_m)) / kFarFromPath_m;
+            weights[k] = 1.0 / (1.0 + off * off);
+        }
+    }
+    return path;
+}
+
+std::vector<double> compute_path_headings_rad(const std::vector<glm::dvec3>& path_m) {
+    std::vector<double> result;
+    for (std::size_t k = 0; k < path_m.size(); ++k) {
+        const glm::dvec2 from = find_path_point_at_chord_length(path_m, k, -1), here(path_m[k]);
+        glm::dvec2 to = find_path_point_at_chord_length(path_m, k, 1);
+        if (glm::distance(from, to) <
+            kTurnsBack * std::max(glm::distance(from, here), glm::distance(here, to)))
+            to = here;
+        result.push_back(std::atan2(to.y - from.y, to.x - from.x));
+    }
+    return result;
+}
+
+}  // namespace relidar

@@ -1,0 +1,51 @@
+// SPDX-License-Identifier: Apache-2.0
+// Links the clusters of one object from frame to frame and across gaps. Private to scene.
+#pragma once
+
+#include <vector>
+
+#include <relidar/log/sequence.hpp>
+
+#include "scene/movers/mover_clusters.hpp"
+
+namespace relidar {
+
+/// Observation of an object in one frame.
+struct MoverObservation {
+    double frame_time_s;
+    glm::dvec3 sensor_m;  ///< position of the sensor, world
+    MoverCluster cluster;
+};
+inline bool is_labelled(const MoverObservation& observation) { return observation.cluster.label != kNoLabel; }
+
+/// All observations of one object, in the order of the frames. Includes observations
+/// before and after the labels of the object.
+struct MoverTrack {
+    std::vector<MoverObservation> observations;
+    int label = kNoLabel;  ///< index in LidarSequence::boxes, or kNoLabel
+
+    const MoverCluster& get_last_cluster() const { return observations.back().cluster; }
+    /// Returns the time of each observation.
+    std::vector<double> get_observation_times() const;
+};
+
+/// Links clusters of points in successive frames to tracks of objects. In each frame,
+/// links the best matches first. A cluster matches an object if it is near the predicted
+/// position of the object. In frames with a label for the object, the cluster must have
+/// this label instead.
+/// @param clusters_per_frame [frames]
+std::vector<MoverTrack> link_clusters_to_tracks(
+    const std::vector<std::vector<MoverCluster>>& clusters_per_frame,
+    const std::vector<double>& frame_times_s, const LidarSequence& sequence);
+
+/// Returns true if a track has enough observations, moves far enough, and is straight.
+bool is_moving_track(const MoverTrack& track);
+
+/// Returns true if a track stays near the recording vehicle at a fixed position relative
+/// to it. Such a track is a part of the vehicle.
+bool is_fixed_to_vehicle(const MoverTrack& track, const PoseTrack& world_from_vehicle);
+
+/// Merges tracks that are parts of one object into the longest of them.
+void merge_tracks_of_same_object(std::vector<MoverTrack>& tracks);
+
+}  // namespace relidar

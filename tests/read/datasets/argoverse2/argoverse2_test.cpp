@@ -1,0 +1,293 @@
+// SPDX-License-Identifier: Apache-2.0
+// Reads a simulated Argoverse 2 log and compares it with the exact rays. Also reads logs
+// with damage in each file.
+#include <relidar/read/dataset.hpp>
+
+#include <algorithm>
+#include <cmath>
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <relidar/base/error.hpp>
+#include "read/datasets/argoverse2/argoverse2_log.hpp"
+#include "read/datasets/kitti/kitti_drive.hpp"
+#include "support/names.hpp"
+
+namespace relidar {
+namespace {
+
+namespace fs = std::filesystem;
+using test::Argoverse2Log;
+using test::Argoverse2Options;
+using test::Argoverse2Ray;
+
+const DatasetOptions kFar{.max_range_m = 200.0};
+
+/// Looks up the exact ray by beam and time. The beam is identified by its elevation, the
+/// firing by a time within half the interval between two pairs.
+class TrueRays {
+public:
+    TrueRays(const std::vector<Argoverse2Ray>& rays, const SpinningSensor& sensor) {
+        for (const Argoverse2Ray& ray : rays) {
+            std::size_t channel = 0;
+            for (std::size_t k = 0; k < sensor.beams.size(); ++k)
+                if (std::abs(sensor.beams[k].elevation_rad - ray.elevation_rad) <
+                    std::abs(sensor.beams[channel].elevation_rad - ray.elevation_rad))
+                    channel = k;
+            of_channel_[channel].push_back(&ray);
+        }
+    }
+    const Argoverse2Ray& at(std::uint16_t channel, double time_s) const {
+        const auto& rays = of_channel_[channel];
+        const auto after = std::lower_bound(rays.begin(), rays.end(), time_s,
+                                            [](const Argoverse2Ray* r, double t) { return r->time_s < t; });
+        if (after == rays.begin()) return **after;
+        if (after == rays.end() || time_s - after[-1]->time_s < (*after)->time_s - time_s) return *after[-1];
+        return **after;
+    }
+
+private:
+    std::array<std::vector<const Argoverse2Ray*>, 32> of_channel_;
+};
+
+// The position of a LiDAR is interpolated along chords, with r = 1.3754 m from the axle
+// and 0.035088 rad per sweep. At s sweeps after the start of a chord, the distance to the
+// arc is r angle^2 |s (s - 1)| / 2. Within the chord, it is at most r angle^2 / 8. The
+// last sweep extrapolates the last chord up to s = 2.027.
+constexpr double kArc_m = 1.3754 * 0.035088 * 0.035088, kBetween_m = kArc_m / 8 + 1e-6,
+                 kBeyond_m = kArc_m * 2.027 * 1.027 / 2 + 1e-6;
+constexpr double kNearest_m = 4.7;
+
+TEST(Argoverse2, EveryRayIsWhereItWasFired) {
+    const Argoverse2Log log("rays");
+    EXPECT_EQ(detect_dataset_kind(log.folder), "argoverse2");
+    const LidarSequence sequence = log.load(kFar);
+    ASSERT_EQ(sequence.frames.size(), 6u);
+    ASSERT_EQ(sequence.lidars.size(), 2u);
+    EXPECT_EQ(sequence.lidars[0].name, "up_lidar");
+    EXPECT_TRUE(sequence.lidars[0].sensor.clockwise);
+    EXPECT_FALSE(sequence.lidars[1].sensor.clockwise) << "it hangs upside down and turns the same way";
+    EXPECT_TRUE(sequence.rolling_shutter);
+    for (const LidarFrame& frame : sequence.frames) {
+        const std::vector<Argoverse2Ray>& rays = log.rays[std::size_t(frame.index)][std::size_t(frame.lidar)];
+        const Lidar& lidar = sequence.get_lidar(frame);
+        ASSERT_EQ(frame.scan.rays.columns, Argoverse2Options().firings);
+        EXPECT_EQ(frame.scan.count_returns(),
+                  std::size_t(std::count_if(rays.begin(), rays.end(), [](auto& r) { return r.returned; })));
+        const TrueRays truth(rays, lidar.sensor);
+        const PoseTrack track = sequence.get_world_from_sensor(frame.lidar);
+        const double off_m = frame.index == 2 ? kBeyond_m : kBetween_m;
+        for (std::size_t i = 0; i < frame.scan.rays.size(); ++i) {
+            const float range_m = frame.scan.range_m[i];
+            const Argoverse2Ray& ray =
+                truth.at(frame.scan.rays.channel[i], double(frame.scan.rays.time_offset_s[i]));
+            // A ray without a return has the time of its firing sequence. This time
+            // differs by up to 35 us from the exact firing time.
+            ASSERT_NEAR(frame.scan.rays.time_offset_s[i], ray.time_s, range_m > 0.0f ? 1e-8 : 2.9e-5);
+            const auto [origin_m, point_m] = test::place_return(sequence, track, frame, i);
+            ASSERT_EQ(range_m > 0.0f, ray.returned) << i;
+            ASSERT_LT(glm::distance(origin_m, ray.origin_m), range_m > 0.0f ? off_m : 2e-3);
+            ASSERT_LT(glm::distance(glm::dvec3(frame.scan.rays.direction[i]), ray.direction),
+                      range_m > 0.0f ? off_m / kNearest_m : 5e-4)
+                << i;
+            if (range_m > 0.0f) {
+                ASSERT_LT(glm::distance(point_m, ray.point_m), 1e-4);
+                ASSERT_EQ(frame.scan.intensity[i], 0.2f);
+            }
+        }
+    }
+}
+
+/// The sensors face forward at a different time than the time of the sweep. Moving
+/// objects must still be placed at the times of their rays.
+TEST(Argoverse2, HeadsFaceThingsWhenTheirRaysWereFired) {
+    const Argoverse2Log log("facing");
+    const LidarSequence sequence = log.load(kFar);
+    for (const LidarFrame& frame : sequence.frames) {
+        ASSERT_TRUE(frame.start.has_value());
+        std::size_t late = 0;
+        for (std::size_t i = 0; i < frame.scan.rays.size(); ++i) {
+            const glm::dvec3 point_m(frame.scan.rays.origin[i] + 10.0f * frame.scan.rays.direction[i]);
+            const double facing_s =
+                compute_time_when_lidar_faces_point_s(sequence, point_m, get_sweep_timing_of_frame(frame));
+            late += std::abs(facing_s - frame.time_s - double(frame.scan.rays.time_offset_s[i])) > 3e-3;
+        }
+        // Only few rays may be late. Beams deviate by up to 4.2 degrees from the sensor's
+        // azimuth (1.2 ms). The sweep is longer than a turn, so its ends overlap.
+        EXPECT_LT(double(late), 0.03 * double(frame.scan.rays.size())) << frame.index << " " << frame.lidar;
+    }
+}
+
+TEST(Argoverse2, TimesPosesAndBoxes) {
+    const Argoverse2Log log("boxes");
+    const LidarSequence sequence = log.load();
+    ASSERT_EQ(sequence.world_from_vehicle.time_s.size(), 3u);
+    EXPECT_EQ(sequence.start_unix_ns, Argoverse2Log::kFirstSweep_ns);
+    for (std::size_t i = 0; i < 3; ++i) {
+        const double time_s = double(i) * 0.100252;
+        EXPECT_NEAR(sequence.world_from_vehicle.time_s[i], time_s, 1e-9);
+        test::expect_pose(sequence, sequence.world_from_vehicle.pose[i],
+                          Argoverse2Log::compute_vehicle_pose(time_s));
+    }
+    ASSERT_EQ(sequence.boxes.size(), 1u);
+    const BoxTrack& box = sequence.boxes[0];
+    EXPECT_EQ(box.id, "1046f12a");
+    EXPECT_EQ(box.category, "REGULAR_VEHICLE");
+    EXPECT_EQ(box.size_m, glm::dvec3(4.5, 1.9, 1.6));
+    ASSERT_EQ(box.world_from_box.pose.size(), 3u);
+    for (std::size_t i = 0; i < 3; ++i)
+        test::expect_pose(sequence, box.world_from_box.pose[i],
+                          Argoverse2Log::compute_box_pose(box.world_from_box.time_s[i]));
+}
+
+/// Half precision rounds a coordinate by up to 2^-11 of its value. Points must not move
+/// farther than this rounding.
+TEST(Argoverse2, HalfPrecisionMovesPointsByItsRounding) {
+    const Argoverse2Log log("half", {.half_precision = true, .sweeps = 2, .codec = test::FeatherCodec::zstd});
+    const LidarSequence sequence = log.load(kFar);
+    double worst = 0.0;
+    for (const LidarFrame& frame : sequence.frames) {
+        const TrueRays truth(log.rays[std::size_t(frame.index)][std::size_t(frame.lidar)],
+                             sequence.get_lidar(frame).sensor);
+        const PoseTrack track = sequence.get_world_from_sensor(frame.lidar);
+        for (std::size_t i = 0; i < frame.scan.rays.size(); ++i) {
+            if (frame.scan.range_m[i] == 0.0f) continue;
+            const Argoverse2Ray& ray =
+                truth.at(frame.scan.rays.channel[i], double(frame.scan.rays.time_offset_s[i]));
+            ASSERT_TRUE(ray.returned);
+            const glm::dvec3 point_m = test::place_return(sequence, track, frame, i).point_m;
+            const glm::dvec3 vehicle_point_m =
+                inverse(Argoverse2Log::compute_vehicle_pose(frame.time_s)) * ray.point_m;
+            const glm::dvec3 rounded = inverse(Argoverse2Log::compute_vehicle_pose(frame.time_s)) * point_m;
+            for (int axis = 0; axis < 3; ++axis)
+                ASSERT_LE(std::abs(vehicle_point_m[axis] - rounded[axis]),
+                          std::abs(vehicle_point_m[axis]) / 2048.0 + 1e-4);
+            worst = std::max(worst, glm::distance(point_m, ray.point_m));
+        }
+    }
+    EXPECT_GT(worst, 2e-3) << "nothing was rounded";
+}
+
+TEST(Argoverse2, PointsTellWhichHalfIsUp) {
+    const Argoverse2Log log("halves",
+                            {.lower_half_up = true, .sweeps = 2, .codec = test::FeatherCodec::none});
+    const LidarSequence sequence = log.load(kFar);
+    for (const LidarFrame& frame : sequence.frames) {
+        const std::vector<Argoverse2Ray>& rays = log.rays[std::size_t(frame.index)][std::size_t(frame.lidar)];
+        EXPECT_EQ(frame.scan.count_returns(),
+                  std::size_t(std::count_if(rays.begin(), rays.end(), [](auto& r) { return r.returned; })));
+        for (std::size_t i = 0; i < frame.scan.rays.size(); ++i) {
+            const glm::vec3& d = frame.scan.rays.direction[i];
+            const double beam =
+                sequence.get_lidar(frame).sensor.beams[frame.scan.rays.channel[i]].elevation_rad;
+            ASSERT_NEAR(std::atan2(d.z, std::hypot(d.x, d.y)), beam, kBeyond_m / kNearest_m);
+        }
+    }
+}
+
+TEST(Argoverse2, FrameRangePosesAndNoLabels) {
+    const Argoverse2Log log("range");
+    fs::remove(log.file("annotations.feather"));
+    const LidarSequence sequence = log.load({.frames = {1, 3}});
+    ASSERT_EQ(sequence.frames.size(), 4u);
+    EXPECT_EQ(sequence.frames[0].index, 1);
+    EXPECT_NEAR(sequence.frames[0].time_s, 0.100252, 1e-9);
+    EXPECT_TRUE(sequence.boxes.empty());
+    EXPECT_THAT(sequence.notes, testing::Contains(test::Names("annotations.feather ... missing")));
+    test::write_text(log.file("poses.txt"),
+                     "1 0 0 0 0 1 0 0 0 0 1 0\n1 0 0 5 0 1 0 0 0 0 1 0\n1 0 0 6 0 1 0 0 0 0 1 0\n");
+    EXPECT_EQ(log.load({.frames = {1, 3}, .poses_file = log.file("poses.txt")}).world_offset_m,
+              glm::dvec3(6, 0, 0));
+    EXPECT_EQ(log.load({.poses_file = kNoPoses}).world_from_vehicle.pose[1].translation, glm::dvec3(0, 0, 0));
+    EXPECT_THROW(log.load({.frames = {3, -1}}), UsageError);
+}
+
+/// Returns the file of a sweep with a single point.
+std::string make_point_bytes(float x, std::uint8_t laser, std::int32_t offset_ns) {
+    return test::make_feather_bytes({test::make_numbers("x", std::vector{x}),
+                                     test::make_numbers("y", std::vector{1.0f}),
+                                     test::make_numbers("z", std::vector{1.0f}),
+                                     test::make_numbers("intensity", std::vector<std::uint8_t>{1}),
+                                     test::make_numbers("laser_number", std::vector{laser}),
+                                     test::make_numbers("offset_ns", std::vector{offset_ns})});
+}
+
+TEST(Argoverse2, ASweepMayLackALidar) {
+    const Argoverse2Log log("lacking");
+    test::write_text(log.sweep(1), make_point_bytes(8.0f, 40, 5000000));
+    const LidarSequence sequence = log.load();
+    ASSERT_EQ(sequence.frames.size(), 5u);
+    EXPECT_EQ(sequence.frames[2].lidar, 1);
+    EXPECT_THAT(sequence.notes, testing::Contains(test::Names("1 frames ... skipped")));
+}
+
+TEST(Argoverse2, SaysWhichFileIsWrong) {
+    const Argoverse2Log log("errors", {.sweeps = 2, .codec = test::FeatherCodec::none});
+    const auto refuse = [&](const fs::path& file, const std::vector<test::FeatherColumn>& columns,
+                            const std::string& part) {
+        log.expect_error_with(file, test::make_feather_bytes(columns),
+                              file.filename().string() + " ... " + part);
+    };
+    const fs::path sensors = log.file("calibration/egovehicle_SE3_sensor.feather"),
+                   vehicle_poses = log.file("city_SE3_egovehicle.feather"),
+                   boxes = log.file("annotations.feather"), sweep = log.sweep(1);
+    const std::vector<Pose> two(2);
+    refuse(sensors, test::set_poses({test::make_texts("sensor_name", {"up_lidar", "ring"})}, two),
+           "column 'sensor_name': the sensor down_lidar ... missing");
+    std::vector<Pose> bad = two;
+    bad[1].rotation = glm::dquat(0.5, 0, 0, 0);
+    refuse(sensors, test::set_poses({test::make_texts("sensor_name", {"up_lidar", "down_lidar"})}, bad),
+           "columns 'qw' to 'qz' ... row 1 has length 0.5, expected 1");
+    const auto times = [](std::vector<std::int64_t> t) { return test::make_numbers("timestamp_ns", t); };
+    const std::int64_t first = Argoverse2Log::sweep_ns(0), second = Argoverse2Log::sweep_ns(1);
+    refuse(vehicle_poses, test::set_poses({times({first, first})}, two),
+           "column 'timestamp_ns': row 1 is 315966265259836000 after 315966265259836000");
+    refuse(vehicle_poses, test::set_poses({times({first, first + 1})}, two), "pose ... 315966265360088000");
+    bad = two;
+    bad[0].translation.y = NAN;
+    refuse(vehicle_poses, test::set_poses({times({first, second})}, bad),
+           "column 'ty_m': row 0 is nan ... finite");
+    const auto label = [&](double length_m) {
+        const std::vector<double> one{1.0};
+        return test::set_poses(
+            {times({first}), test::make_texts("track_uuid", {"a"}), test::make_texts("category", {"DOG"}),
+             test::make_numbers("length_m", std::vector<double>{length_m}),
+             test::make_numbers("width_m", one), test::make_numbers("height_m", one)},
+            {Pose{}});
+    };
+    refuse(boxes, label(-1.0), "columns 'length_m' to 'height_m': row 0 is -1 x 1 x 1 ... 0");
+    const auto refuse_point = [&](float x, std::uint8_t laser, std::int32_t offset_ns,
+                                  const std::string& part) {
+        log.expect_error_with(sweep, make_point_bytes(x, laser, offset_ns),
+                              sweep.filename().string() + " ... " + part);
+    };
+    refuse_point(2e4f, 1, 0, "point 0 is (20000, 1, 1) ... coordinates ... 10000");
+    refuse_point(NAN, 1, 0, "column 'x': row 0 is nan");
+    refuse_point(1.0f, 64, 0, "column 'laser_number': row 0 is 64, expected 0 to 63");
+    refuse_point(1.0f, 1, 300000000, "column 'offset_ns': row 0 is 300000000");
+    refuse(sweep, {test::make_numbers("x", std::vector<float>())}, "points ... sweep");
+    refuse(sweep, {test::make_numbers("x", std::vector<float>{1.0f})}, "column 'y' ... column");
+    const std::string original = test::read_text(sweep);
+    log.expect_error_with(sweep, original.substr(0, original.size() / 2), "truncated");
+    log.expect_error_with(sweep, "", "0 bytes");
+}
+
+TEST(Argoverse2, SaysWhatIsMissing) {
+    Argoverse2Log log("missing", {.sweeps = 1, .codec = test::FeatherCodec::none});
+    log.kind = "argoverse2:";
+    fs::copy_file(log.sweep(0), log.sweep(0).parent_path() / "sweep_1.feather");
+    log.expect_error("sweep_1.feather ... sweep");
+    fs::remove(log.sweep(0).parent_path() / "sweep_1.feather");
+    fs::remove(log.file("calibration/egovehicle_SE3_sensor.feather"));
+    log.expect_error("calibration/egovehicle_SE3_sensor.feather: no such file");
+    fs::remove(log.file("city_SE3_egovehicle.feather"));
+    log.expect_error("city_SE3_egovehicle.feather: no such file");
+    fs::remove(log.sweep(0));
+    log.expect_error("sensors/lidar ... sweeps");
+    fs::remove_all(log.file("sensors"));
+    log.expect_error("sensors/lidar ... folder");
+}
+
+}  // namespace
+}  // namespace relidar

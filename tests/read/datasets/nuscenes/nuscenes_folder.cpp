@@ -1,0 +1,146 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "read/datasets/nuscenes/nuscenes_folder.hpp"
+
+#include <cmath>
+
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+#include <gtest/gtest.h>
+
+#include "base/random.hpp"
+#include "read/datasets/kitti/kitti_drive.hpp"
+#include "read/datasets/street/yard.hpp"
+
+namespace relidar::test {
+namespace fs = std::filesystem;
+namespace {
+
+constexpr std::int64_t kFirst_us = 1533151603547590;
+constexpr glm::dvec3 kMap_m(411.3, 1180.9, 0.0);
+
+// Returns the mounting of the LiDAR in nuScenes axes: x right, y forward.
+Pose mounted() {
+    return {glm::normalize(glm::dquat(0.7077955, -0.0064922, 0.0106464, -0.7063073)),
+            {0.943713, 0.0, 1.84023}};
+}
+
+std::int64_t time_us(int sweep) { return kFirst_us + sweep * 50000; }
+
+std::string sample_of(const char* token, const char* scene, int sweep) {
+    return fmt::format("\"token\": \"{}\", \"scene_token\": \"{}\", \"timestamp\": {}", token, scene,
+                       time_us(sweep));
+}
+
+/// Computes the rays of the turn that ends at the time of a sweep. Returns the bytes of
+/// the sweep's file.
+std::string make_turn(int sweep, int columns, std::vector<NuscenesRay>& rays) {
+    std::string bytes;
+    const double end_s = sweep * NuscenesFolder::kSweep_s;
+    const Pose map_from_raw = NuscenesFolder::compute_vehicle_pose(end_s) * mounted();
+    for (int column = 0; column < columns; ++column)
+        for (int ring = 0; ring < 32; ++ring) {
+            NuscenesRay ray;
+            ray.time_s = end_s - NuscenesFolder::kSweep_s * (1.0 - double(column) / columns);
+            const double elevation = (-92.0 + 4.0 * ring) / 3.0 * kPi / 180.0,
+                         azimuth = 1.9 - 2.0 * kPi * column / columns;
+            const glm::dvec3 d(std::cos(elevation) * std::cos(azimuth),
+                               std::cos(elevation) * std::sin(azimuth), std::sin(elevation));
+            const glm::dvec3 raw(-d.y, d.x, d.z);
+            const Pose fired = NuscenesFolder::compute_vehicle_pose(ray.time_s) * mounted();
+            ray.direction = d;
+            ray.origin_m = fired.translation;
+            ray.point_m = kMap_m + intersect_yard(ray.origin_m - kMap_m, fired.rotation * raw);
+            ray.returned =
+                hash_integer_pair(std::uint64_t(column * 32 + ring), std::uint64_t(sweep)) % 8 != 0 &&
+                column % 60 != 7;
+            // compensated like all other points
+            const glm::dvec3 nothing = fired * glm::dvec3(0.0, 1e-3, 0.0);
+            const glm::dvec3 p = inverse(map_from_raw) * (ray.returned ? ray.point_m : nothing);
+            const float values[5] = {float(p.x), float(p.y), float(p.z), 51.0f, float(ring)};
+            bytes.append(reinterpret_cast<const char*>(values), sizeof values);
+            rays.push_back(ray);
+        }
+    return bytes;
+}
+
+}  // namespace
+
+std::string format_pose_keys(const Pose& pose) {
+    const glm::dquat& q = pose.rotation;
+    const glm::dvec3& t = pose.translation;
+    return fmt::format("\"translation\": [{}, {}, {}], \"rotation\": [{}, {}, {}, {}]", t.x, t.y, t.z, q.w,
+                       q.x, q.y, q.z);
+}
+
+void write_records(const fs::path& table, const std::vector<std::string>& records) {
+    write_text(table, fmt::format("[\n{{{}}}\n]", fmt::join(records, "},\n{")));
+}
+
+Pose NuscenesFolder::compute_vehicle_pose(double time_s) {
+    return {glm::angleAxis(0.6 - 0.35 * time_s, glm::dvec3(0, 0, 1)),
+            kMap_m + time_s * glm::dvec3(24.0, 9.0, 0.0)};
+}
+
+Pose NuscenesFolder::box_at(double time_s) {
+    return {glm::angleAxis(0.2 + 0.4 * time_s, glm::dvec3(0, 0, 1)),
+            kMap_m + glm::dvec3(12.0 + 5.0 * time_s, 3.0, 0.8)};
+}
+
+fs::path NuscenesFolder::sweep(int number) const {
+    return folder / (number % 10 == 0 ? "samples" : "sweeps") / "LIDAR_TOP" /
+           fmt::format("turn_{}.pcd.bin", number);
+}
+
+NuscenesFolder::NuscenesFolder(const std::string& name, int n_columns)
+    : LogFolder("relidar_nuscenes_" + name), columns(n_columns), rays(kSweeps) {
+    const auto write = [&](const char* of, const std::vector<std::string>& records) {
+        write_records(table(of), records);
+    };
+    write("scene", {"\"token\": \"s0\", \"name\": \"scene-0061\", \"first_sample_token\": \"k9\", "
+                    "\"description\": \"[a] \\\"{quoted}\\\"\"",
+                    "\"token\": \"s1\", \"name\": \"scene-0103\", \"first_sample_token\": \"k0\""});
+    write("sample", {sample_of("k1", "s1", 10), sample_of("k0", "s1", 0), sample_of("k9", "s0", 0)});
+    write("sensor",
+          {"\"token\": \"c\", \"channel\": \"CAM_FRONT\"", "\"token\": \"l\", \"channel\": \"LIDAR_TOP\""});
+    write("calibrated_sensor",
+          {"\"token\": \"mount\", \"sensor_token\": \"l\", " + format_pose_keys(mounted()),
+           "\"token\": \"camera\", \"sensor_token\": \"c\", " + format_pose_keys(Pose{})});
+    std::vector<std::string> files, poses;
+    const auto add_file = [&](const std::string& token, const std::string& sample,
+                              const std::string& calibration, int at, bool key, const std::string& next,
+                              const std::string& file) {
+        files.push_back(
+            fmt::format("\"token\": \"{}\", \"sample_token\": \"{}\", \"ego_pose_token\": \"e{}\", "
+                        "\"calibrated_sensor_token\": \"{}\", \"filename\": \"{}\", \"timestamp\": {}, "
+                        "\"is_key_frame\": {}, \"next\": \"{}\"",
+                        token, sample, at, calibration, file, time_us(at), key, next));
+    };
+    for (int i = kSweeps - 1; i >= 0; --i) {  // not ordered by time
+        const std::string next = i + 1 < kSweeps ? fmt::format("d{}", i + 1) : "";
+        add_file(fmt::format("d{}", i), i < 6 ? "k0" : "k1", "mount", i, i % 10 == 0, next,
+                 fs::relative(sweep(i), folder).string());
+        add_file(fmt::format("cam{}", i), i < 6 ? "k0" : "k1", "camera", i, i % 10 == 0, "", "none.jpg");
+        poses.push_back(fmt::format("\"token\": \"e{}\", \"timestamp\": {}, {}", i, time_us(i),
+                                    format_pose_keys(compute_vehicle_pose(i * kSweep_s))));
+        write_text(sweep(i), make_turn(i, columns, rays[std::size_t(i)]));
+    }
+    add_file("other", "k9", "mount", 0, true, "", fs::relative(sweep(0), folder).string());
+    write("sample_data", files);
+    write("ego_pose", poses);
+    std::vector<std::string> labels;
+    for (const int i : {10, 0})
+        labels.push_back(
+            fmt::format("\"token\": \"a{}\", \"sample_token\": \"k{}\", \"instance_token\": \"car\", "
+                        "\"size\": [1.9, 4.5, 1.6], {}",
+                        i, i / 10, format_pose_keys(box_at(i * kSweep_s))));
+    labels.push_back(
+        "\"token\": \"a9\", \"sample_token\": \"k9\", \"instance_token\": \"dog\", \"size\": [1, 1, 1], " +
+        format_pose_keys(Pose{}));
+    write("sample_annotation", labels);
+    write("instance", {"\"token\": \"dog\", \"category_token\": \"animal\"",
+                       "\"token\": \"car\", \"category_token\": \"vehicle\""});
+    write("category", {"\"token\": \"animal\", \"name\": \"animal\"",
+                       "\"token\": \"vehicle\", \"name\": \"vehicle.car\""});
+}
+
+}  // namespace relidar::test

@@ -1,0 +1,284 @@
+// SPDX-License-Identifier: Apache-2.0
+// Reads a simulated nuScenes folder and compares it with the exact rays. Also reads
+// folders with damage in each file.
+#include <relidar/read/dataset.hpp>
+
+#include <cmath>
+#include <cstring>
+
+#include <fmt/format.h>
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <relidar/base/error.hpp>
+#include "read/datasets/kitti/kitti_drive.hpp"
+#include "read/datasets/nuscenes/nuscenes_folder.hpp"
+#include "support/names.hpp"
+
+namespace relidar {
+namespace {
+
+namespace fs = std::filesystem;
+using test::NuscenesFolder;
+using test::NuscenesRay;
+
+const DatasetOptions kScene{.sequence = "scene-0103"};
+
+LidarSequence load(const NuscenesFolder& data, DatasetOptions options = {}) {
+    if (options.sequence.empty()) options.sequence = "scene-0103";
+    return data.load(options);
+}
+
+/// Returns the interpolation error of the LiDAR's position. The position is interpolated
+/// along chords, at 0.944 m from the axle with 0.0175 rad per sweep. At s sweeps after
+/// the start of a chord, the distance to the arc is r angle^2 |s (s - 1)| / 2. The first
+/// turn, s = -1 to 0, extrapolates the next chord backwards.
+double measure_distance_to_arc_m(int frame, double fraction) {
+    const double arc_m = 0.944 * 0.0175 * 0.0175, along = frame == 0 ? fraction - 1.0 : fraction;
+    return arc_m * std::abs(along * (along - 1.0)) / 2.0 + 1e-6;
+}
+
+TEST(Nuscenes, EveryRayIsWhereItWasFired) {
+    const NuscenesFolder data("rays");
+    EXPECT_EQ(detect_dataset_kind(data.folder), "nuscenes");
+    const LidarSequence actual = load(data);
+    EXPECT_EQ(actual.name, "nuScenes scene-0103");
+    ASSERT_EQ(actual.frames.size(), std::size_t(NuscenesFolder::kSweeps));
+    const SpinningSensor& sensor = actual.lidars[0].sensor;
+    ASSERT_EQ(sensor.beams.size(), 32u);
+    EXPECT_NEAR(sensor.beams[0].elevation_rad * 180.0 / kPi, 10.67, 5e-3);
+    EXPECT_NEAR(sensor.beams[31].elevation_rad * 180.0 / kPi, -30.67, 5e-3);
+    const PoseTrack track = actual.get_world_from_sensor(0);
+    for (const LidarFrame& frame : actual.frames) {
+        ASSERT_EQ(frame.scan.rays.columns, data.columns);
+        std::size_t n_returns = 0;
+        for (const NuscenesRay& ray : data.rays[std::size_t(frame.index)]) n_returns += ray.returned;
+        EXPECT_EQ(frame.scan.count_returns(), n_returns);
+        for (std::size_t i = 0; i < frame.scan.rays.size(); ++i) {
+            const double fired_s = frame.time_s + double(frame.scan.rays.time_offset_s[i]);
+            const double turned = 1.0 + double(frame.scan.rays.time_offset_s[i]) / NuscenesFolder::kSweep_s;
+            const std::size_t column = std::size_t(std::lround(turned * data.columns)),
+                              ring = 31u - frame.scan.rays.channel[i];
+            const NuscenesRay& ray = data.rays[std::size_t(frame.index)][column * 32 + ring];
+            const bool returned = frame.scan.range_m[i] > 0.0f;
+            ASSERT_NEAR(fired_s, ray.time_s, 1e-7);
+            ASSERT_EQ(returned, ray.returned) << i;
+            const auto [origin_m, point_m] = test::place_return(actual, track, frame, i);
+            const double off_m = measure_distance_to_arc_m(frame.index, turned);
+            ASSERT_LT(glm::distance(origin_m, ray.origin_m), off_m);
+            ASSERT_LT(glm::distance(glm::dvec3(frame.scan.rays.direction[i]), ray.direction),
+                      returned ? off_m / 4.0 + 1e-6 : 4e-4)
+                << i;
+            if (!returned) continue;
+            ASSERT_LT(glm::distance(point_m, ray.point_m), 1e-4);
+            ASSERT_FLOAT_EQ(frame.scan.intensity[i], 0.2f);
+        }
+    }
+}
+
+/// Writes the tables of nuScenes-lidarseg, and labels of both keyframes of scene-0103.
+/// The point with index i has the category i % 3.
+void write_categories(const NuscenesFolder& data) {
+    test::write_text(data.table("category"),
+                     R"([{"token": "animal", "name": "animal", "index": 1},
+                         {"token": "vehicle", "name": "vehicle.car", "index": 2},
+                         {"token": "noise", "name": "noise", "index": 0}])");
+    std::string table;
+    for (const int sweep : {0, 10}) {
+        const std::string file = fmt::format("lidarseg/v1.0-mini/{}_lidarseg.bin", sweep);
+        table += fmt::format(R"({}{{"token": "x{}", "sample_data_token": "d{}", "filename": "{}"}})",
+                             table.empty() ? "" : ", ", sweep, sweep, file);
+        std::string bytes;
+        for (std::size_t i = 0; i < fs::file_size(data.sweep(sweep)) / 20; ++i) bytes += char(i % 3);
+        test::write_text(data.folder / file, bytes);
+    }
+    test::write_text(data.table("lidarseg"), "[" + table + "]");
+}
+
+TEST(Nuscenes, ReadsTheClassesOfLidarseg) {
+    const NuscenesFolder data("lidarseg");
+    write_categories(data);
+    const LidarSequence actual = load(data);
+    for (const LidarFrame& frame : actual.frames) {
+        const Scan& scan = frame.scan;
+        ASSERT_EQ(scan.classes.size(), frame.index % 10 == 0 ? scan.range_m.size() : 0u);
+        for (std::size_t i = 0; i < scan.classes.size(); ++i) {
+            const double turned = 1.0 + double(scan.rays.time_offset_s[i]) / NuscenesFolder::kSweep_s;
+            const std::size_t column = std::size_t(std::lround(turned * data.columns)),
+                              point = column * 32 + 31u - scan.rays.channel[i];
+            SurfaceClass expected = SurfaceClass::vehicle;
+            if (scan.range_m[i] == 0.0f || point % 3 == 0) expected = SurfaceClass::unknown;
+            else if (point % 3 == 1) expected = SurfaceClass::other_actor;
+            ASSERT_EQ(scan.classes[i], expected) << i;
+        }
+    }
+}
+
+TEST(Nuscenes, RefusesDamagedLabelsOfPoints) {
+    const NuscenesFolder data("bad_lidarseg", 40);
+    write_categories(data);
+    const fs::path file = data.folder / "lidarseg/v1.0-mini/10_lidarseg.bin";
+    data.expect_error_with(file, "123", "10_lidarseg.bin has 3 bytes ... 1280 points", kScene);
+    fs::remove(file);
+    const LidarSequence log = load(data);
+    EXPECT_THAT(log.notes,
+                testing::Contains("labels of points: 1 of the files in lidarseg.json are missing"));
+    EXPECT_TRUE(log.frames[10].scan.classes.empty());
+    EXPECT_FALSE(log.frames[0].scan.classes.empty());
+    test::write_text(data.table("category"),
+                     R"([{"token": "vehicle", "name": "vehicle.car", "index": 256}])");
+    data.expect_error("key 'index': found 256 for the category 'vehicle.car', expected 0 to 255", kScene);
+}
+
+TEST(Nuscenes, TablesOfT4) {
+    const NuscenesFolder data("t4");
+    const LidarSequence nuscenes = load(data);
+    fs::rename(data.folder / "v1.0-mini", data.folder / "annotation");
+    EXPECT_EQ(detect_dataset_kind(data.folder), "t4");
+    const LidarSequence t4 = load(data);
+    EXPECT_EQ(t4.name, "T4 scene-0103");
+    ASSERT_EQ(t4.frames.size(), nuscenes.frames.size());
+    EXPECT_EQ(t4.boxes.size(), nuscenes.boxes.size());
+    for (std::size_t i = 0; i < t4.frames.size(); ++i) {
+        // A point has five float32 in the file. Points near the sensor must also be
+        // returns.
+        EXPECT_EQ(t4.frames[i].scan.count_returns(), fs::file_size(data.sweep(int(i))) / 20);
+    }
+}
+
+TEST(Nuscenes, TimesPosesAndBoxesBetweenKeyframes) {
+    const NuscenesFolder data("boxes", 40);
+    const LidarSequence actual = load(data);
+    EXPECT_EQ(actual.start_unix_ns, 1533151603547590000);
+    for (std::size_t i = 0; i < actual.frames.size(); ++i) {
+        EXPECT_NEAR(actual.frames[i].time_s, double(i) * NuscenesFolder::kSweep_s, 1e-9);
+        test::expect_pose(actual, actual.world_from_vehicle.pose[i],
+                          NuscenesFolder::compute_vehicle_pose(actual.frames[i].time_s));
+    }
+    ASSERT_EQ(actual.boxes.size(), 1u) << "the dog is in another scene";
+    const BoxTrack& box = actual.boxes[0];
+    EXPECT_EQ(box.category, "vehicle.car");
+    EXPECT_EQ(box.size_m, glm::dvec3(4.5, 1.9, 1.6)) << "length first";
+    ASSERT_EQ(box.world_from_box.pose.size(), actual.frames.size());
+    for (std::size_t i = 0; i < actual.frames.size(); ++i)
+        test::expect_pose(actual, box.world_from_box.pose[i],
+                          NuscenesFolder::box_at(actual.frames[i].time_s));
+}
+
+TEST(Nuscenes, ScenesFramesAndPoses) {
+    const NuscenesFolder data("scenes", 40);
+    EXPECT_EQ(data.load().name, "nuScenes scene-0061");
+    EXPECT_EQ(data.load().frames.size(), 1u);
+    EXPECT_EQ(load(data, {.sequence = "103"}).name, "nuScenes scene-0103");
+    data.expect_error("dataset.sequence 'scene-0104' ... scene-0061, scene-0103", {.sequence = "scene-0104"});
+    const LidarSequence part = load(data, {.frames = {3, 5}});
+    ASSERT_EQ(part.frames.size(), 2u);
+    EXPECT_EQ(part.frames[0].index, 3);
+    EXPECT_NEAR(part.frames[0].time_s, 0.15, 1e-9);
+    EXPECT_THROW(load(data, {.frames = {11, -1}}), UsageError);
+    const LidarSequence unposed = load(data, {.poses_file = kNoPoses});
+    EXPECT_EQ(unposed.world_from_vehicle.pose[4].translation, glm::dvec3(0.0));
+    const glm::dvec3 box_in_vehicle_m =
+        inverse(NuscenesFolder::compute_vehicle_pose(0.2)) * NuscenesFolder::box_at(0.2).translation;
+    EXPECT_LT(glm::distance(unposed.boxes[0].world_from_box.pose[4].translation, box_in_vehicle_m), 1e-8)
+        << "as the vehicle saw it";
+    test::write_text(data.table("sample_annotation"), "[]");
+    EXPECT_THAT(load(data).notes, testing::Contains(test::Names("annotations ... labels")));
+}
+
+TEST(Nuscenes, KeyframesAlone) {
+    const NuscenesFolder data("keyframes", 40);
+    fs::remove(data.sweep(4));
+    data.expect_error("turn_4.pcd.bin ... use dataset.skip_broken=true", kScene);
+    EXPECT_EQ(load(data, {.skip_broken = true}).frames.size(), std::size_t(NuscenesFolder::kSweeps - 1));
+    fs::remove_all(data.folder / "sweeps");
+    const LidarSequence actual = load(data);
+    EXPECT_THAT(actual.notes, testing::Contains(test::Names("keyframes")));
+    ASSERT_EQ(actual.frames.size(), 2u);
+    EXPECT_EQ(actual.frames[1].index, 10);
+    EXPECT_NEAR(actual.frames[1].time_s, 0.5, 1e-9);
+    EXPECT_EQ(actual.boxes[0].world_from_box.time_s, (std::vector<double>{0.0, actual.frames[1].time_s}));
+    const PoseTrack track = actual.get_world_from_sensor(0);
+    for (const LidarFrame& frame : actual.frames)
+        for (std::size_t i = 0; i < frame.scan.rays.size(); ++i) {
+            if (frame.scan.range_m[i] == 0.0f) continue;
+            const double turned = double(frame.scan.rays.time_offset_s[i]) / NuscenesFolder::kSweep_s + 1.0;
+            const std::size_t column = std::size_t(std::lround(turned * data.columns)),
+                              ring = 31u - frame.scan.rays.channel[i];
+            const NuscenesRay& ray = data.rays[std::size_t(frame.index)][column * 32 + ring];
+            const auto [origin_m, point_m] = test::place_return(actual, track, frame, i);
+            // The chord between poses is half a second long, and the LiDAR turns about
+            // the axle.
+            const double s = (frame.index == 0 ? 0.0 : 1.0) + 0.1 * (turned - 1.0),
+                         arc_m = 0.944 * 0.175 * 0.175;
+            ASSERT_LT(glm::distance(origin_m, ray.origin_m), arc_m * std::abs(s * (s - 1.0)) / 2.0 + 1e-5);
+            ASSERT_LT(glm::distance(point_m, ray.point_m), 1e-4);
+        }
+    EXPECT_THROW(load(data, {.frames = {1, 10}}), UsageError);
+}
+
+TEST(Nuscenes, SaysWhichRecordIsWrong) {
+    const NuscenesFolder data("tables", 40);
+    const auto expect = [&](const std::string& table, const std::string& from, const std::string& to,
+                            const std::string& part) {
+        const fs::path file = data.table(table);
+        data.expect_error_with(file, test::replace_first(test::read_text(file), from, to),
+                               table + ".json ... " + part, kScene);
+    };
+    expect("scene", "\"name\"", "\"nome\"", "record 0, key 'name': expected text");
+    expect("sample_data", "\"timestamp\": 1533", "\"timestamp\": true, \"was\": 1533",
+           "key 'timestamp' ... number");
+    expect("sample_data", "\"is_key_frame\": true", "\"is_key_frame\": 1",
+           "key 'is_key_frame': expected true or false");
+    expect("sample_data", "\"next\": \"d5\"", "\"next\": \"d99\"", "key 'next': found 'd99' after 5 files");
+    expect("sample_data", "\"next\": \"d5\"", "\"next\": \"d3\"", "increasing");
+    expect("sample_data", "\"next\": \"\"", "\"next\": \"gone\"", "key 'next': found 'gone' after 11 files");
+    expect("sensor", "LIDAR_TOP", "RADAR", "key 'channel' ... LIDAR_");
+    expect("sample_data", "turn_0.pcd.bin", "turn_0.las", "'samples/LIDAR_TOP/turn_0.las'");
+    expect("ego_pose", "\"timestamp\": 1533", "\"timestamp\": 1733", "0.1 s");
+    expect("calibrated_sensor", "\"rotation\": [", "\"rotation\": [3, ",
+           "key 'rotation': expected 4 numbers");
+    expect("calibrated_sensor", "\"rotation\": [0.7", "\"rotation\": [9.7",
+           "key 'rotation' ... quaternion ... 1");
+    expect("ego_pose", "\"token\": \"e5\"", "\"token\": \"e55\"",
+           "'e5' ... missing ... sweeps/LIDAR_TOP/turn_5.pcd.bin");
+    expect("ego_pose", "\"translation\": [", "\"translation\": [\"x\", ",
+           "key 'translation': expected 3 numbers");
+    expect("sample_annotation", "[1.9, 4.5, 1.6]", "[1.9, -4.5, 1.6]", "key 'size': found 1.9 x -4.5 x 1.6");
+    expect("instance", "\"category_token\": \"vehicle\"", "\"category_token\": \"?\"", "'car' ... category");
+    expect("sample", "[\n", "x", "'x' ... objects");
+    expect("sample", "}\n]", "", "truncated");
+    expect("sample", "\n]", "", "truncated");
+    expect("sample", "\"token\": \"k1\",", "\"token\" \"k1\",", "record 0: ");
+    expect("category", "\"animal\"", "\"" + std::string(1 << 20, 'a') + "\"", "1048576 bytes");
+    fs::remove(data.table("ego_pose"));
+    EXPECT_THROW(load(data), DataError);
+}
+
+TEST(Nuscenes, SaysWhichFileIsWrong) {
+    const NuscenesFolder data("files", 40);
+    const std::string good = test::read_text(data.sweep(4));
+    const auto expect = [&](const std::string& bytes, const std::string& parts) {
+        data.expect_error_with(data.sweep(4), bytes, "turn_4.pcd.bin ... " + parts, kScene);
+    };
+    const auto with = [&](std::size_t point, std::size_t field, float value) {
+        std::string bytes = good;
+        std::memcpy(bytes.data() + 20 * point + 4 * field, &value, 4);
+        return bytes;
+    };
+    expect("", "0 bytes ... 32 points ... 20 bytes");
+    expect(good.substr(0, good.size() - 20), "25580 bytes ... 32 points");
+    expect(with(7, 1, NAN), "point 7 is (");
+    expect(with(7, 2, 2e4f), "point 7 is (");
+    expect(with(7, 3, INFINITY), "point 7 is (");
+    expect(with(7, 4, 32.0f), "point 7 has ring 32, expected 0 to 31");
+    expect(with(7, 4, 0.5f), "point 7 has ring 0.5, expected 0 to 31");
+    expect(std::string(640, '\0'), "points ... 1 m");
+    fs::remove(data.sweep(4));
+    EXPECT_THROW(load(data), DataError);
+    fs::remove(data.table("scene"));
+    EXPECT_THROW(load(data), DataError);
+}
+
+}  // namespace
+}  // namespace relidar

@@ -1,0 +1,135 @@
+// SPDX-License-Identifier: Apache-2.0
+// Reads simulated ONCE sequences with quaternions in both orders and compares them with
+// the exact rays. Also checks the errors for invalid files.
+#include <relidar/read/dataset.hpp>
+
+#include <cmath>
+#include <cstring>
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include "read/scans/stamped_folders.hpp"
+#include "read/datasets/kitti/kitti_drive.hpp"
+#include "support/names.hpp"
+
+namespace relidar {
+namespace {
+
+namespace fs = std::filesystem;
+using test::OnceFolder;
+
+/// Checks that every return is on a surface of the yard, that its ray starts at the
+/// LiDAR, and that no return is lost.
+void expect_once_truth(const OnceFolder& data, const LidarSequence& sequence) {
+    const PoseTrack track = sequence.get_world_from_sensor(0);
+    const Pose yard_from_once{data.drive.compute_lidar_pose_at(0.0)};
+    for (const LidarFrame& frame : sequence.frames) {
+        EXPECT_NEAR(frame.time_s, frame.index * 0.5, 1e-9);
+        EXPECT_EQ(frame.scan.count_returns(), data.drive.count_returns(frame.index));
+        for (std::size_t i = 0; i < frame.scan.rays.size(); ++i) {
+            if (frame.scan.range_m[i] == 0.0f) continue;
+            const auto [origin_m, point_m] = test::place_return(sequence, track, frame, i);
+            const double fired_s = frame.time_s + double(frame.scan.rays.time_offset_s[i]);
+            // Poses are interpolated linearly over half a second. At 8 m/s and 0.1 rad/s
+            // the error is 14 mm at half a scan before the first pose.
+            ASSERT_LT(glm::distance(yard_from_once * origin_m,
+                                    data.drive.compute_lidar_pose_at(fired_s).translation),
+                      0.015)
+                << frame.index << " " << i;
+            ASSERT_LT(test::measure_distance_to_yard_m(yard_from_once * point_m - data.drive.world_m), 0.02)
+                << frame.index << " " << i;
+            ASSERT_FLOAT_EQ(frame.scan.intensity[i], 0.25f);
+        }
+    }
+}
+
+TEST(Once, EveryReturnIsOnTheYard) {
+    const OnceFolder data("000076");
+    EXPECT_EQ(detect_dataset_kind(data.folder), "once");
+    const LidarSequence sequence = data.load();
+    EXPECT_EQ(sequence.start_unix_ns, 1000000 * OnceFolder::stamp(0));
+    EXPECT_EQ(sequence.name, "ONCE 000076");
+    ASSERT_EQ(sequence.frames.size(), std::size_t(OnceFolder::kScans));
+    EXPECT_THAT(sequence.notes, testing::Contains(test::Names("1 boxes in 1 labelled ... track")));
+    EXPECT_THAT(sequence.notes,
+                testing::Contains(test::Names("40 beams and 900 columns ... fitted ... nearest")));
+    EXPECT_TRUE(sequence.boxes.empty());
+    const SpinningSensor& sensor = sequence.lidars[0].sensor;
+    EXPECT_EQ(sensor.period_s, 0.1) << "a turn, not the time between scans";
+    ASSERT_EQ(sensor.beams.size(), 40u);
+    for (std::size_t b = 0; b < 40; ++b)
+        EXPECT_NEAR(sensor.beams[b].elevation_rad, data.drive.beams[b].elevation_rad, 1e-5);
+    expect_once_truth(data, sequence);
+    // x points forward. In this world frame, x points left and y points backward.
+    const glm::dvec3 ahead = sequence.world_from_vehicle.pose[0].rotation * glm::dvec3(1, 0, 0);
+    EXPECT_LT(glm::distance(ahead, glm::dvec3(0, -1, 0)), 1e-9);
+}
+
+TEST(Once, QuaternionsWithWFirst) {
+    const OnceFolder data("w-first", true);
+    const LidarSequence sequence = data.load();
+    EXPECT_THAT(sequence.notes, testing::Contains(test::Names("quaternions ... w")));
+    expect_once_truth(data, sequence);
+}
+
+TEST(Once, PointsOfAnotherLidar) {
+    const OnceFolder data("other");
+    // tilts the sensor by up to a degree, so that the points do not form beams
+    for (int s = 0; s < OnceFolder::kScans; ++s) {
+        std::string bytes = test::read_text(data.scan(s));
+        for (std::size_t at = 0; at < bytes.size(); at += 16) {
+            float p[3];
+            std::memcpy(p, bytes.data() + at, sizeof p);
+            p[2] += float(at / 16 % 97) * 1.8e-4f * std::hypot(p[0], p[1]);
+            std::memcpy(bytes.data() + at, p, sizeof p);
+        }
+        test::write_text(data.scan(s), bytes);
+    }
+    const LidarSequence sequence = data.load();
+    EXPECT_EQ(sequence.frames[0].scan.rays.rows, 1) << "rays without order";
+    EXPECT_THAT(sequence.notes, testing::Contains(test::Names("dropped")));
+}
+
+TEST(Once, FramesOtherPosesAndMissingScans) {
+    const OnceFolder data("frames");
+    const LidarSequence some = data.load({.frames = {1, 3}});
+    ASSERT_EQ(some.frames.size(), 2u);
+    EXPECT_EQ(some.frames[0].index, 1);
+    EXPECT_NEAR(some.frames[0].time_s, 0.5, 1e-9);
+    data.expect_error("ONCE ... [0, 3]", {.frames = {4, -1}});
+    fs::remove(data.scan(1));
+    const LidarSequence rest = data.load();
+    ASSERT_EQ(rest.frames.size(), 3u);
+    EXPECT_EQ(rest.frames[1].index, 2);
+    EXPECT_THAT(rest.notes, testing::Contains(test::Names("1 frames ... skipped")));
+    data.expect_error("frames.json: 1 frames ... lidar_roof", {.allow_missing_scans = false});
+    EXPECT_EQ(data.load({.poses_file = kNoPoses}).world_from_vehicle.pose[2].translation, glm::dvec3(0.0));
+}
+
+TEST(Once, SaysWhichFileAndFieldIsWrong) {
+    const OnceFolder data("errors");
+    const std::string good = test::read_text(data.json());
+    const auto with = [&](const std::string& from, const std::string& to, const std::string& part) {
+        data.expect_error_with(data.json(), test::replace_first(good, from, to), part);
+    };
+    const std::string second = "\"frame_id\": \"16165359667";
+    with(second, "\"frame_id\": \"x16165359667", "errors.json: frames[1].frame_id ... 'x1616535966700'");
+    with(second, "\"frame_id\": \"06165359667", "frames[1].frame_id: found 616535966700 after 1616535966200");
+    with("\"pose\": [", "\"pose\": [0, ", "errors.json: frames[0].pose: found 8 numbers, expected 7");
+    with("\"pose\": [", "\"pose\": [\"x\", ", "errors.json: frames[0].pose");
+    with("\"pose\": [0", "\"pose\": [2", "errors.json: frames[0].pose ... quaternion ... 2.236 ... length 1");
+    with("\"pose\"", "\"posture\"", "errors.json ... frames[0].pose");
+    with("\"frames\"", "\"other\"", "errors.json ... frames");
+    with("]}]", "", "errors.json");
+    test::write_text(data.scan(2), "cut");
+    data.expect_error("1616535967200.bin: found 3 bytes ... multiple ... 16");
+    fs::remove_all(data.folder / "lidar_roof");
+    fs::create_directory(data.folder / "lidar_roof");
+    data.expect_error("errors.json lists 4 frames");
+    fs::remove(data.json());
+    data.expect_error("errors.json");
+}
+
+}  // namespace
+}  // namespace relidar

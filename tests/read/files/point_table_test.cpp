@@ -1,0 +1,290 @@
+// SPDX-License-Identifier: Apache-2.0
+// Tests the point table: numbers keep the data type of the file, and each scan is read
+// only once.
+#include "read/files/point_table.hpp"
+
+#include <atomic>
+#include <cmath>
+#include <cstdint>
+#include <limits>
+#include <optional>
+#include <type_traits>
+
+#include <gtest/gtest.h>
+
+#include <relidar/base/error.hpp>
+
+#include "read/scans/far_marker.hpp"
+#include "read/scans/folder_points.hpp"
+#include "read/scans/point_meaning.hpp"
+
+namespace relidar::read {
+namespace {
+
+template <class T>
+void append(std::string& bytes, T value) {
+    bytes.append(reinterpret_cast<const char*>(&value), sizeof value);
+}
+
+/// Makes a table of two points with 23 bytes each: x, y, z, ring, a colour, a time.
+PointTable make_two_points(std::int64_t first_time, std::int64_t second_time) {
+    std::string bytes;
+    for (const auto& [x, ring, time] : {std::tuple(3.5f, std::uint16_t(7), first_time),
+                                        std::tuple(-2.25f, std::uint16_t(300), second_time)}) {
+        append(bytes, x);
+        append(bytes, 1.0f);
+        append(bytes, 0.5f);
+        append(bytes, ring);
+        append(bytes, std::uint8_t(9));
+        append(bytes, time);
+    }
+    const std::vector<PointField> fields = {{"x", 'F', 4},    {"y", 'F', 4},   {"z", 'F', 4},
+                                            {"ring", 'U', 2}, {"red", 'U', 1}, {"timestamp", 'I', 8}};
+    return make_table_of_binary_points(make_shared_bytes(std::move(bytes)), fields, 2,
+                                       PointMemoryLayout::by_point, "test");
+}
+
+TEST(PointTable, KeepsTheTypeOfTheFile) {
+    // two integers that are equal as doubles, because a double has 53 bits
+    constexpr std::int64_t kFirst = (std::int64_t(1) << 53) + 1, kSecond = std::int64_t(1) << 53;
+    const PointTable table = make_two_points(kFirst, kSecond);
+    const PointFieldView* time = table.find_field(PointAttribute::time);
+    ASSERT_NE(time, nullptr);
+    time->call_with_value_reader([&](const auto& time_at) {
+        EXPECT_TRUE((std::is_same_v<decltype(time_at(0)), std::int64_t>));
+        EXPECT_EQ(std::int64_t(time_at(0)), kFirst);
+        EXPECT_EQ(std::int64_t(time_at(1)), kSecond);
+    });
+    table.find_field(PointAttribute::ring)->call_with_value_reader([](const auto& ring_at) {
+        EXPECT_TRUE((std::is_same_v<decltype(ring_at(0)), std::uint16_t>));
+        EXPECT_EQ(int(ring_at(1)), 300);
+    });
+    EXPECT_EQ(table.find_field(PointAttribute::intensity), nullptr);
+}
+
+TEST(PointTable, CopiesOutliveTheirTable) {
+    PointTable copy;
+    {
+        const PointTable table = make_two_points(0, 1);
+        copy = table;
+    }
+    EXPECT_EQ((*copy.find_field(PointAttribute::x))[1], -2.25);
+    copy.remove_fields_with_attribute(PointAttribute::time);
+    EXPECT_EQ(copy.find_field(PointAttribute::time), nullptr);
+}
+
+TEST(PointTable, NamesOfAValueHaveAnOrder) {
+    PointTable table(1);
+    table.add_value_field("timestamp", ScalarType::u4, std::vector<std::uint32_t>{4}, "test");
+    table.add_value_field("t", ScalarType::u4, std::vector<std::uint32_t>{5}, "test");
+    EXPECT_EQ((*table.find_field(PointAttribute::time))[0], 5.0);
+    EXPECT_THROW(table.add_value_field("t", ScalarType::u4, std::vector<std::uint32_t>{6}, "test"),
+                 DataError);
+}
+
+constexpr float kNan = std::numeric_limits<float>::quiet_NaN();
+constexpr float kInfinite = std::numeric_limits<float>::infinity();
+
+/// Returns a table with the fields x, y and z, and further fields with a value per point.
+PointTable make_point_table(const std::vector<glm::vec3>& points,
+                            const std::vector<std::pair<std::string, std::vector<float>>>& fields) {
+    PointTable table(points.size());
+    for (int axis = 0; axis < 3; ++axis) {
+        std::vector<float> values;
+        for (const glm::vec3& p : points) values.push_back(p[axis]);
+        table.add_value_field(std::string(1, char('x' + axis)), ScalarType::f4, std::move(values), "test");
+    }
+    for (const auto& [name, values] : fields) table.add_value_field(name, ScalarType::f4, values, "test");
+    return table;
+}
+
+/// Returns points in different directions and at different ranges, similar to the points
+/// of a LiDAR.
+std::vector<glm::vec3> make_measured_points(std::size_t count) {
+    std::vector<glm::vec3> points;
+    for (std::size_t i = 0; i < count; ++i) {
+        const double azimuth = 0.01 * double(i), range_m = 20.0 + 15.0 * std::sin(0.37 * double(i));
+        points.emplace_back(range_m * std::cos(azimuth), range_m * std::sin(azimuth), 0.001 * double(i % 97));
+    }
+    return points;
+}
+
+TEST(DroppedRays, HaveManySpellings) {
+    const glm::vec3 real(3.0f, -4.0f, 1.0f);
+    const std::vector<glm::vec3> dropped = {{kNan, kNan, kNan},
+                                            {kInfinite, kInfinite, kInfinite},
+                                            {-kInfinite, -kInfinite, -kInfinite},
+                                            {0.0f, -0.0f, 0.0f},
+                                            {kNan, 1.0f, 2.0f},
+                                            {1.0f, kNan, 2.0f},
+                                            {1.0f, 2.0f, kNan},
+                                            {5.0f, kInfinite, 0.0f},
+                                            {1e-5f, 0.0f, 1e-5f}};
+    std::vector<glm::vec3> points;
+    for (const glm::vec3& p : dropped) {
+        points.push_back(p);
+        points.push_back(real);
+    }
+    const LidarPoints returns =
+        convert_table_to_points(make_point_table(points, {}), PointFileUnits{}, 0.0, "test");
+    ASSERT_EQ(returns.size(), dropped.size());
+    for (const glm::vec3& p : returns.position_m) EXPECT_EQ(p, real);
+}
+
+TEST(DroppedRays, HaveRangeZeroInARangeField) {
+    const std::vector<glm::vec3> points = make_measured_points(4);
+    const auto n_returns = [&](const std::vector<float>& range) {
+        return convert_table_to_points(make_point_table(points, {{"range", range}}), PointFileUnits{}, 0.0,
+                                       "test")
+            .size();
+    };
+    for (const float unit : {1.0f, 1000.0f}) {  // metres, millimetres
+        const float first = unit * glm::length(points[0]), last = unit * glm::length(points[3]);
+        EXPECT_EQ(n_returns({first, 0.0f, kInfinite, last}), 2u);
+        EXPECT_EQ(n_returns({-first, 0.0f, 0.3f * last, last}), 4u)
+            << "a signed distance from something else";
+    }
+    EXPECT_EQ(n_returns({0.0f, 0.0f, 0.0f, 0.0f}), 4u) << "a field that no program has filled";
+}
+
+TEST(DroppedRays, HaveAPositionThatIsRepeated) {
+    std::vector<glm::vec3> points = make_measured_points(2000);
+    EXPECT_EQ(interpret_point_fields({make_point_table(points, {})}).no_return, std::nullopt);
+    // Mounting position of a LiDAR. Rays without a return are stored as points at the
+    // sensor. The driver has transformed these points to the mounting position.
+    const glm::vec3 mounting(1.2f, 0.0f, 1.7f);
+    for (std::size_t i = 0; i < points.size(); i += 20) points[i] = mounting;
+    PointFileUnits units;
+    units.no_return = interpret_point_fields({make_point_table(points, {})}).no_return;
+    EXPECT_EQ(units.no_return, mounting);
+    EXPECT_EQ(convert_table_to_points(make_point_table(points, {}), units, 0.0, "test").size(), 1900u);
+}
+
+TEST(DroppedRays, MarkTheMaximumRangeOfTheSensor) {
+    const auto n_returns = [](float marker_m) {
+        LidarSequence sequence;
+        add_frame(sequence, 0, 0.0, Pose{});
+        Scan& scan = sequence.frames[0].scan;
+        scan = make_scan_with_one_ray_per_point(
+            LidarPoints{make_measured_points(2000), std::vector<float>(2000, 0.5f)});
+        for (std::size_t i = 0; i < 2000; ++i) {
+            scan.rays.channel[i] = std::uint16_t(i % 16);
+            if (i % 10 == 0) scan.range_m[i] = marker_m * (1.0f + 1e-7f * float(i % 3));
+        }
+        remove_returns_that_mark_dropped_rays(sequence);
+        return scan.count_returns();
+    };
+    EXPECT_EQ(n_returns(100.0f), 1800u);
+    EXPECT_EQ(n_returns(130.5f), 1800u);
+    EXPECT_EQ(n_returns(99.87f), 2000u) << "a wall";
+}
+
+TEST(PointTable, FindsFieldsByTheirMeaning) {
+    for (const char* name : {"intensity", "Intensity", "INTENSITY", "scalar_intensity", "scalar_Intensity",
+                             "i", "intensities", "reflectance", "remission", "signal", "amplitude"})
+        EXPECT_EQ(find_attribute_of_field_name(name), PointAttribute::intensity) << name;
+    for (const char* name : {"x", "X", "scalar_x", "point_x", "pos_X", "position.x", "//X"})
+        EXPECT_EQ(find_attribute_of_field_name(name), PointAttribute::x) << name;
+    for (const char* name : {"nx", "normal_x", "velocity_x", "vx", "x_origin", "rgb", "ambient", "in", ""})
+        EXPECT_EQ(find_attribute_of_field_name(name), std::nullopt) << name;
+    const std::vector<glm::vec3> points = make_measured_points(3);
+    const PointTable table = make_point_table(points, {{"scalar_x", {7.0f, 7.0f, 7.0f}}});
+    EXPECT_EQ((*table.find_field(PointAttribute::x))[1], double(points[1].x))
+        << "the exact name is used first";
+}
+
+TEST(PointMeaning, UsesIntensitiesThatAreNotZero) {
+    const std::vector<glm::vec3> points = make_measured_points(3);
+    const std::vector<float> zero(3, 0.0f), bright = {12.0f, 187.0f, 3.0f};
+    const PointFieldSemantics meaning =
+        interpret_point_fields({make_point_table(points, {{"intensity", zero}, {"reflectivity", bright}})});
+    EXPECT_EQ(meaning.intensity_field, "reflectivity");
+    EXPECT_EQ(meaning.scale.max, 255.0);
+    PointFileUnits units;
+    units.intensity_field = meaning.intensity_field;
+    units.intensity_max = meaning.scale.max;
+    const PointTable table = make_point_table(points, {{"intensity", zero}, {"reflectivity", bright}});
+    EXPECT_FLOAT_EQ(convert_table_to_points(table, units, 0.0, "test").intensity[1], 187.0f / 255.0f);
+    EXPECT_EQ(interpret_point_fields({make_point_table(points, {{"intensity", zero}})}).notes.size(), 1u);
+    EXPECT_TRUE(interpret_point_fields({make_point_table(points, {{"intensity", bright}})}).notes.empty());
+}
+
+TEST(PointMeaning, FindsTheScaleOfIntensities) {
+    const auto scale = [](std::vector<double> values) { return estimate_intensity_scale(values); };
+    EXPECT_EQ(scale({0.0, 0.2, 1.0}).max, 1.0);
+    EXPECT_EQ(scale({0.0, 12.0, 187.0}).max, 255.0);
+    EXPECT_TRUE(scale({0.0, 12.0, 187.0}).is_sure);
+    EXPECT_FALSE(scale({0.0, 12.0, 100.0}).is_sure) << "may be percent";
+    EXPECT_FALSE(scale({-1.0, 12.0, 187.0}).is_sure);
+    EXPECT_TRUE(scale({0.0, 12.0, 4000.0}).is_sure);
+    EXPECT_FALSE(scale({0.0, 12.0, 70000.0}).is_sure) << "more than 16 bits";
+}
+
+/// Scan source that counts how often each scan is read. The scans show a cylinder with 8
+/// beams x 90 columns.
+class CountedScans : public ScanProvider {
+public:
+    explicit CountedScans(std::size_t count) : n_reads(count) {}
+    std::string get_frame_name(std::size_t frame) const override { return "scan " + std::to_string(frame); }
+    bool is_stored_as_points(std::size_t) const override { return true; }
+    Scan read_rays_of_frame(std::size_t) const override { return {}; }
+    LidarPoints read_points_of_frame(std::size_t frame) const override {
+        ++n_reads[frame];
+        LidarPoints points;
+        for (std::uint16_t beam = 0; beam < 8; ++beam)
+            for (int column = 0; column < 90; ++column) {
+                const double azimuth = kPi - (column + 0.5) * 2.0 * kPi / 90;
+                points.position_m.emplace_back(10.0 * std::cos(azimuth), 10.0 * std::sin(azimuth),
+                                               1.0 - 0.3 * beam);
+                points.intensity.push_back(0.5f);
+                points.ring.push_back(beam);
+            }
+        return points;
+    }
+    mutable std::vector<std::atomic<int>> n_reads;
+};
+
+TEST(ReadScans, ReadsEachScanOnce) {
+    constexpr std::size_t kFrames = 9;  // more than are looked at to find the sensor
+    LidarSequence sequence;
+    for (std::size_t i = 0; i < kFrames; ++i) add_frame(sequence, int(i), 0.1 * double(i), Pose{});
+    const CountedScans source(kFrames);
+    read_scans(sequence, {.lidars = {{}}}, source, DatasetOptions{});
+    for (std::size_t i = 0; i < kFrames; ++i) {
+        EXPECT_EQ(source.n_reads[i], 1) << "scan " << i;
+        EXPECT_EQ(sequence.frames[i].scan.count_returns(), 8u * 90u);
+    }
+}
+
+/// Returns a cloud of 1000 rays. Rays with two returns are `step_rad` wide.
+PointTable make_pairs(double share, double step_rad) {
+    std::vector<float> x, y, z, t;
+    for (int i = 0; i < 1000; ++i)
+        for (int k = 0; k < (i % 100 < 100.0 * share ? 2 : 1); ++k) {
+            const double azimuth_rad = 0.006 * i + step_rad * k, range_m = 10.0 + 0.01 * (i % 37) + 2.0 * k;
+            x.push_back(float(range_m * std::cos(azimuth_rad)));
+            y.push_back(float(range_m * std::sin(azimuth_rad)));
+            z.push_back(float(-0.1 * range_m));
+            t.push_back(1e-4f * float(i));
+        }
+    PointTable cloud(x.size());
+    for (const auto& [name, values] :
+         {std::pair("x", x), std::pair("y", y), std::pair("z", z), std::pair("time", t)})
+        cloud.add_value_field(name, ScalarType::f4, values, "test");
+    cloud.add_value_field("ring", ScalarType::u2, std::vector<std::uint16_t>(x.size(), 3), "test");
+    return cloud;
+}
+
+TEST(PointTable, FrequentAndRareSecondReturnsAreFound) {
+    for (const double share : {0.1, 0.6, 0.95, 1.0}) {
+        EXPECT_TRUE(find_unnumbered_returns({make_pairs(share, 0.0)}).exist) << share;
+        EXPECT_TRUE(interpret_point_fields({make_pairs(0.0, 0.0), make_pairs(share, 0.0)}).returns.exist);
+        EXPECT_FALSE(find_unnumbered_returns({make_pairs(share, 0.0035)}).exist);  // two columns of one time
+    }
+    const PointTable rare = make_pairs(0.01, 0.0);  // ten pairs: too few in one cloud
+    EXPECT_FALSE(find_unnumbered_returns({rare}).exist);
+    EXPECT_TRUE(find_unnumbered_returns({rare, make_pairs(0.0, 0.0), rare}).exist);
+}
+
+}  // namespace
+}  // namespace relidar::read

@@ -1,0 +1,489 @@
+// SPDX-License-Identifier: Apache-2.0
+// Decodes packets of Ouster sensors. The test makes packets from real range images in
+// every supported profile. The packets must give the same scans as a plain folder of the
+// same images (skipped if RELIDAR_SHARED does not contain the images). Also checks the
+// errors for invalid captures and metadata.
+#include <relidar/read/dataset.hpp>
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <cstring>
+#include <filesystem>
+#include <fstream>
+#include <map>
+#include <optional>
+#include <utility>
+
+#include <fmt/format.h>
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <relidar/base/error.hpp>
+
+#include "base/bytes.hpp"
+#include "read/packets/ouster_packets.hpp"
+#include "support/names.hpp"
+
+namespace relidar {
+namespace {
+
+namespace fs = std::filesystem;
+using test::Names;
+using test::OusterImages;
+using testing::AllOf;
+
+constexpr const char* kProfileNames[] = {test::kLegacy,  test::kSingle,      test::kDual,
+                                         test::kLowRate, test::kLowRateDual, test::kFusa};
+
+fs::path make_fresh_folder(const std::string& name) {
+    fs::path folder = fs::path(testing::TempDir()) / "relidar_ouster_packets" / name;
+    fs::remove_all(folder);
+    fs::create_directories(folder);
+    return folder;
+}
+
+void write_bytes(const fs::path& file, const std::string& bytes) {
+    std::ofstream(file, std::ios::binary) << bytes;
+}
+
+/// Returns the columns x y z intensity ring time return for each return, as float64.
+std::string make_points(const OusterImages& images, std::size_t frame) {
+    std::vector<std::size_t> ring(images.rows);
+    for (std::size_t row = 0; row < images.rows; ++row)
+        ring[row] = std::size_t(std::ranges::count_if(
+            images.altitude_deg, [&](double a) { return a > images.altitude_deg[row]; }));
+    std::vector<double> values;
+    const double forward_ns = double(images.time_ns[frame * images.columns + images.columns / 2]);
+    for (std::size_t row = 0; row < images.rows; ++row)
+        for (std::size_t column = 0; column < images.columns; ++column) {
+            const std::size_t i = images.at(frame, row, column);
+            const auto add = [&](double mm, double reflectivity, double number) {
+                // Ouster's LiDAR frame is rotated by 180 degrees about z.
+                const glm::dvec3 p = images.compute_point(row, column, mm);
+                values.insert(
+                    values.end(),
+                    {-p.x, -p.y, p.z, reflectivity, double(ring[row]),
+                     1e-9 * (double(images.time_ns[frame * images.columns + column]) - forward_ns), number});
+            };
+            const bool has_second = !images.range_2_mm.empty() && images.range_2_mm[i] > 0;
+            const bool is_second_first = has_second && images.reflectivity_2[i] > images.reflectivity[i];
+            if (images.range_mm[i] > 0)
+                add(images.round_mm(images.range_mm[i]), images.reflectivity[i], is_second_first);
+            if (has_second)
+                add(images.round_mm(images.range_2_mm[i]), images.reflectivity_2[i], !is_second_first);
+        }
+    const std::size_t n = values.size() / 7;
+    std::string head = fmt::format("{{'descr': '<f8', 'fortran_order': False, 'shape': ({}, 7), }}", n);
+    head.append(63 - (10 + head.size()) % 64, ' ').append("\n");
+    std::string bytes("\x93NUMPY\1\0", 8);
+    append_binary_value(bytes, std::uint16_t(head.size()));
+    bytes += head;
+    for (const double v : values) append_binary_value(bytes, v);
+    return bytes;
+}
+
+LidarSequence read_folder(const OusterImages& images, const RangeLimits& limits) {
+    const fs::path folder = make_fresh_folder("folder");
+    std::string beams, frames, poses;
+    std::vector<std::size_t> order(images.rows);
+    for (std::size_t row = 0; row < images.rows; ++row) order[row] = row;
+    std::ranges::stable_sort(order, std::greater(),
+                             [&](std::size_t row) { return images.altitude_deg[row]; });
+    for (const std::size_t row : order)
+        beams +=
+            fmt::format("{}{{\"elevation_deg\": {}, \"azimuth_offset_deg\": {}, \"origin_offset_m\": {}}}",
+                        beams.empty() ? "" : ", ", images.altitude_deg[row], -images.azimuth_deg[row],
+                        1e-3 * images.n_mm);
+    fs::create_directories(folder / "scans");
+    for (std::size_t f = 0; f < images.frames; ++f) {
+        const double time_s = 1e-9 * double(images.time_ns[f * images.columns + images.columns / 2] -
+                                            images.time_ns[images.columns / 2]);
+        write_bytes(folder / fmt::format("scans/{}.npy", f), make_points(images, f));
+        frames += fmt::format(R"({}{{"number": {}, "time_s": {:.9f}, "scan": "scans/{}.npy"}})",
+                              f ? ", " : "", f, time_s, f);
+        poses += "1 0 0 0 0 1 0 0 0 0 1 0\n";
+    }
+    write_bytes(folder / "poses.txt", poses);
+    write_bytes(
+        folder / "sequence.json",
+        fmt::format(
+            R"({{"format": "relidar log", "version": 1, "frames": [{}], "intensity_max": 255, "columns": )"
+            R"(["x", "y", "z", "intensity", "ring", "time", "return"], "lidars": [{{"ring_0": "highest", "sensor": )"
+            R"({{"columns": {}, "min_range_m": {}, "max_range_m": {}, "beams": [{}]}}}}]}})",
+            frames, images.columns, limits.min_m, limits.max_m, beams));
+    DatasetOptions options;
+    options.max_range_m = 400.0;
+    return load_sequence(folder.string(), options);
+}
+
+/// Writes a capture and its metadata to a new folder.
+fs::path write_capture(const OusterImages& images, const std::vector<test::Datagram>& datagrams) {
+    const fs::path folder = make_fresh_folder("capture");
+    test::write_pcap(folder / "drive.pcap", datagrams);
+    write_bytes(folder / "drive.json", test::make_metadata(images, 7502));
+    return folder / "drive.pcap";
+}
+fs::path write_capture(const OusterImages& images) {
+    return write_capture(images, test::receive(test::make_packets(images)));
+}
+
+/// Log from load_sequence(), or its error message.
+struct Loaded {
+    LidarSequence log;
+    std::string error;
+
+    explicit Loaded(const fs::path& file, DatasetOptions options = {}) {
+        options.max_range_m = 400.0;
+        try {
+            log = load_sequence(file.string(), options);
+        } catch (const Error& failed) {
+            error = failed.what();
+        }
+    }
+    std::string notes() const {
+        std::string all;
+        for (const std::string& note : log.notes) all += note + "\n";
+        return all;
+    }
+};
+
+/// Skipped if relidar was built without the reader of captures.
+class OusterPackets : public testing::Test {
+protected:
+    void SetUp() override {
+        const std::string error = Loaded(make_fresh_folder("none") / "none.pcap").error;
+        if (error.find("RELIDAR_PCAP") != error.npos || error.find("RELIDAR_BAGS") != error.npos)
+            GTEST_SKIP() << error;
+    }
+};
+
+/// Returns the column and the ring of a ray. The column is the encoder position when the
+/// ray was fired.
+std::pair<std::size_t, int> find_cell(const Scan& scan, std::size_t ray, const SpinningSensor& sensor) {
+    const std::size_t ring = scan.rays.channel[ray];
+    const glm::vec3 d = scan.rays.direction[ray];
+    const double head = std::atan2(double(d.y), double(d.x)) - sensor.beams[ring].azimuth_offset_rad;
+    const int column = int(std::lround((kPi - head) / (2.0 * kPi) * sensor.columns));
+    return {ring, (column % sensor.columns + sensor.columns) % sensor.columns};
+}
+
+std::map<std::pair<std::size_t, int>, std::size_t> group_rays_by_cell(const Scan& scan,
+                                                                      const SpinningSensor& sensor) {
+    std::map<std::pair<std::size_t, int>, std::size_t> cells;
+    for (std::size_t ray = 0; ray < scan.rays.size(); ++ray) cells[find_cell(scan, ray, sensor)] = ray;
+    return cells;
+}
+
+/// Checks that two scans have the same rays: origin, direction, time and measurement.
+void expect_same_scan(const Scan& actual, const Scan& expected, const SpinningSensor& sensor) {
+    ASSERT_EQ(actual.rays.rows, expected.rays.rows);
+    ASSERT_EQ(actual.rays.columns, expected.rays.columns);
+    EXPECT_EQ(actual.count_returns(), expected.count_returns());
+    ASSERT_EQ(actual.second_returns.size(), expected.second_returns.size());
+    const auto cells = group_rays_by_cell(actual, sensor), others = group_rays_by_cell(expected, sensor);
+    ASSERT_EQ(cells.size(), actual.rays.size());
+    ASSERT_EQ(others.size(), cells.size());
+    std::size_t n_wrong = 0;
+    for (const auto& [cell, a] : cells) {
+        const std::size_t b = others.at(cell);
+        bool is_same = std::abs(actual.range_m[a] - expected.range_m[b]) < 1e-4f &&
+                       actual.intensity[a] == expected.intensity[b] &&
+                       std::abs(actual.rays.time_offset_s[a] - expected.rays.time_offset_s[b]) < 1e-6f &&
+                       glm::distance(actual.rays.origin[a], expected.rays.origin[b]) < 1e-5f;
+        // A tolerance is needed, because the folder reader estimates the phase of the
+        // columns from the points.
+        is_same = is_same && glm::distance(actual.rays.direction[a], expected.rays.direction[b]) <
+                                 (actual.range_m[a] > 0.0f ? 2e-6f : 1e-4f);
+        for (std::size_t k = 0; k < actual.second_returns.size(); ++k)
+            is_same = is_same &&
+                      std::abs(actual.second_returns[k].range_m[a] - expected.second_returns[k].range_m[b]) <
+                          1e-4f &&
+                      actual.second_returns[k].intensity[a] == expected.second_returns[k].intensity[b];
+        n_wrong += !is_same;
+    }
+    EXPECT_EQ(n_wrong, 0u) << "of " << cells.size();
+}
+
+void expect_same_log(const OusterImages& images, const LidarSequence& log) {
+    SCOPED_TRACE(images.product + " " + images.profile);
+    const SpinningSensor& sensor = log.lidars[0].sensor;
+    const LidarSequence folder = read_folder(images, sensor.range_limits());
+    ASSERT_EQ(log.frames.size(), images.frames);
+    EXPECT_EQ(sensor.columns, int(images.columns));
+    ASSERT_EQ(sensor.beams.size(), images.rows);
+    for (std::size_t f = 0; f < images.frames; ++f) {
+        EXPECT_NEAR(log.frames[f].time_s, folder.frames[f].time_s, 1e-6);
+        expect_same_scan(log.frames[f].scan, folder.frames[f].scan, sensor);
+    }
+}
+
+TEST_F(OusterPackets, RealScansAreThoseOfTheFolder) {
+    const std::pair<const char*, const char*> kReal[] = {{"OS-1-128_v2.3.0_1024x10_lb_n3.npz", "OS-1-128"},
+                                                         {"OS-2-128-U1_v2.3.0_1024x10.npz", "OS-2-128"}};
+    for (const auto& [name, product] : kReal)
+        for (const char* profile : kProfileNames) {
+            const std::optional<OusterImages> images = test::load_real_images(name, product, profile);
+            if (!images) GTEST_SKIP() << name << " is not there; RELIDAR_SHARED names another folder";
+            const Loaded loaded(write_capture(*images));
+            ASSERT_EQ(loaded.error, "");
+            EXPECT_THAT(loaded.notes(), Names(fmt::format("{} packets ... 128-beam Ouster, {}, profile {}",
+                                                          64 * images->frames, product, profile)));
+            expect_same_log(*images, loaded.log);
+        }
+}
+
+TEST_F(OusterPackets, SmallScansAreThoseOfTheFolder) {
+    for (const char* profile : kProfileNames) {
+        const OusterImages images = test::make_small_images(profile);
+        const Loaded loaded(write_capture(images));
+        ASSERT_EQ(loaded.error, "");
+        EXPECT_EQ(loaded.log.frames[0].scan.second_returns.size(), images.is_dual() ? 1u : 0u);
+        expect_same_log(images, loaded.log);
+    }
+}
+
+TEST_F(OusterPackets, NestedMetadataSaysTheSame) {
+    const OusterImages images = test::make_small_images(test::kSingle);
+    const fs::path capture = write_capture(images);
+    write_bytes(fs::path(capture).replace_extension(".json"), test::make_metadata(images, 7502, true));
+    const Loaded loaded(capture);
+    ASSERT_EQ(loaded.error, "");
+    expect_same_log(images, loaded.log);
+}
+
+TEST_F(OusterPackets, ReflectivitiesOf16BitsCountAsThoseOfClouds) {
+    OusterImages images = test::make_small_images(test::kLegacy);
+    for (std::uint32_t& bright : images.reflectivity) bright *= 8;  // up to 2040
+    const Loaded loaded(write_capture(images));
+    ASSERT_EQ(loaded.error, "");
+    EXPECT_THAT(loaded.notes(), AllOf(Names("reflectivities ... 2040"), Names("99.5th percentile")));
+    float most = 0.0f;
+    for (const float intensity : loaded.log.frames[0].scan.intensity) most = std::max(most, intensity);
+    EXPECT_EQ(most, 1.0f);
+}
+
+/// Rays and returns of a frame by column.
+struct Columns {
+    std::vector<std::size_t> rays, returns;
+
+    Columns(const LidarSequence& log, std::size_t frame)
+        : rays(std::size_t(log.lidars[0].sensor.columns)), returns(rays.size()) {
+        const Scan& scan = log.frames[frame].scan;
+        for (std::size_t ray = 0; ray < scan.rays.size(); ++ray) {
+            const auto column = std::size_t(find_cell(scan, ray, log.lidars[0].sensor).second);
+            ++rays[column];
+            returns[column] += scan.range_m[ray] > 0.0f;
+        }
+    }
+};
+
+TEST_F(OusterPackets, ColumnsThatWereNotMeasuredWereNotFired) {
+    for (const char* profile : {test::kLegacy, test::kSingle}) {
+        OusterImages images = test::make_small_images(profile);
+        images.is_valid.assign(images.frames * images.columns, true);
+        for (const std::size_t column : {0, 20, 21, 127}) images.is_valid[images.columns + column] = false;
+        const Loaded loaded(write_capture(images));
+        ASSERT_EQ(loaded.log.frames.size(), 4u) << loaded.error;
+        const Columns columns(loaded.log, 1), complete(loaded.log, 2);
+        for (const std::size_t column : {0, 20, 21, 127}) EXPECT_EQ(columns.rays[column], 0u) << column;
+        EXPECT_EQ(columns.rays[19], 3u * images.rows);  // also has the rays of missing columns
+        EXPECT_EQ(std::ranges::count(complete.rays, images.rows), std::ptrdiff_t(images.columns));
+        EXPECT_THAT(loaded.notes(), testing::Not(Names("missing")));
+    }
+}
+
+TEST_F(OusterPackets, ASectorThatWasNotMeasuredHasNoReturn) {
+    OusterImages images = test::make_small_images(test::kSingle);
+    for (std::size_t k = 0; k < images.frames * images.columns; ++k)
+        images.is_valid.push_back(k % 128 < 40 || k % 128 >= 70);
+    const Loaded loaded(write_capture(images));
+    ASSERT_EQ(loaded.log.frames.size(), 4u) << loaded.error;
+    const Columns columns(loaded.log, 1);
+    for (std::size_t column = 0; column < images.columns; ++column) {
+        EXPECT_EQ(columns.rays[column], images.rows) << column;
+        EXPECT_EQ(columns.returns[column] > 0, images.is_valid[column]) << column;
+    }
+}
+
+TEST_F(OusterPackets, TheOnlyMetadataMayNameAnotherPort) {
+    const OusterImages images = test::make_small_images(test::kLegacy);
+    const Loaded loaded(write_capture(images, test::receive(test::make_packets(images), 7512)));
+    ASSERT_EQ(loaded.error, "");
+    expect_same_log(images, loaded.log);
+}
+
+TEST_F(OusterPackets, RepeatedAndLatePacketsAreSorted) {
+    const OusterImages images = test::make_small_images(test::kSingle);
+    auto datagrams = test::receive(test::make_packets(images));
+    std::swap(datagrams[12].bytes, datagrams[13].bytes);
+    datagrams.insert(datagrams.begin() + 20, datagrams[17]);
+    const Loaded loaded(write_capture(images, datagrams));
+    expect_same_log(images, loaded.log);
+    EXPECT_THAT(loaded.notes(), AllOf(Names("1 packets ... twice"), Names("1 packets ... order")));
+}
+
+TEST_F(OusterPackets, RaysOfMissingPacketsAreUnknown) {
+    const OusterImages images = test::make_small_images(test::kSingle);
+    auto datagrams = test::receive(test::make_packets(images));
+    datagrams[10].bytes.resize(500);          // columns 32 to 47 of frame 1
+    datagrams.erase(datagrams.begin() + 15);  // columns 112 to 127, the end of the turn
+    const Loaded loaded(write_capture(images, datagrams));
+    ASSERT_EQ(loaded.log.frames.size(), 4u) << loaded.error;
+    EXPECT_THAT(loaded.notes(), Names("2 packets ... missing ... rays"));
+    const Columns columns(loaded.log, 1);
+    for (std::size_t column = 0; column < images.columns; ++column) {
+        const bool is_missing = column / 16 == 2 || column / 16 == 7;
+        EXPECT_EQ(columns.rays[column], is_missing ? 0u : images.rows) << column;
+        EXPECT_EQ(columns.returns[column] == 0, is_missing) << column;
+    }
+}
+
+TEST_F(OusterPackets, ATurnWithoutMostOfItsPacketsIsLeftOut) {
+    const OusterImages images = test::make_small_images(test::kDual);
+    auto datagrams = test::receive(test::make_packets(images));
+    datagrams.erase(datagrams.begin() + 9, datagrams.begin() + 15);  // packets of frame 1
+    const Loaded loaded(write_capture(images, datagrams));
+    ASSERT_EQ(loaded.log.frames.size(), 3u) << loaded.error;
+    EXPECT_NEAR(loaded.log.frames[1].time_s, 2 * 128 * 781250e-9, 1e-6);
+    EXPECT_THAT(loaded.notes(), Names("1 revolutions ... third ... missing"));
+}
+
+TEST_F(OusterPackets, AWindowOfColumnsIsTheWholeTurn) {
+    for (const auto& [first, last] :
+         std::vector<std::pair<int, int>>{{32, 95}, {5, 40}, {0, 63}, {100, 127}}) {
+        SCOPED_TRACE(fmt::format("{} to {}", first, last));
+        OusterImages images = test::make_small_images(test::kLowRate);
+        images.first = std::size_t(first);
+        images.last = std::size_t(last);
+        const Loaded loaded(write_capture(images));
+        ASSERT_EQ(loaded.log.frames.size(), 4u) << loaded.error;
+        EXPECT_THAT(loaded.notes(), testing::Not(Names("missing")));
+        for (std::size_t f = 0; f < 4; ++f) {
+            EXPECT_EQ(loaded.log.frames[f].scan.rays.columns, last - first + 1);
+            const Columns columns(loaded.log, f);
+            for (std::size_t column = 0; column < images.columns; ++column)
+                EXPECT_EQ(columns.rays[column], images.is_in_window(column) ? images.rows : 0u) << column;
+            EXPECT_NEAR(loaded.log.frames[f].time_s, double(f) * 128 * 781250e-9, 1e-5);
+        }
+    }
+}
+
+TEST_F(OusterPackets, AClockSinceBootAndOneOfPtpAreTheSame) {
+    OusterImages images = test::make_small_images(test::kSingle);
+    const Loaded boot(write_capture(images));
+    for (std::uint64_t& ns : images.time_ns) ns += 1700000000000000000;
+    const Loaded ptp(write_capture(images, test::receive(test::make_packets(images), 7502, 0)));
+    ASSERT_EQ(ptp.log.frames.size(), 4u) << ptp.error;
+    for (std::size_t f = 0; f < 4; ++f) {
+        EXPECT_EQ(boot.log.frames[f].time_s, ptp.log.frames[f].time_s);
+        EXPECT_EQ(boot.log.frames[f].scan.rays.time_offset_s, ptp.log.frames[f].scan.rays.time_offset_s);
+        EXPECT_EQ(boot.log.frames[f].scan.range_m, ptp.log.frames[f].scan.range_m);
+    }
+}
+
+// A sensor on PTP has TAI, which is 37 s ahead of UTC, the clock of the capture.
+TEST_F(OusterPackets, PosesMayHaveTheClockOfTheSensor) {
+    constexpr std::int64_t kSecond_ns = 1000000000;
+    OusterImages images = test::make_small_images(test::kSingle);
+    for (std::uint64_t& ns : images.time_ns) ns += 1700000032 * kSecond_ns;  // from 1700000037 s
+    const fs::path capture =
+        write_capture(images, test::receive(test::make_packets(images), 7502, -37 * kSecond_ns));
+    std::string poses;
+    for (int k = -20; k < 30; ++k)
+        poses += fmt::format("{:.2f} {:.2f} 0 0 1 0 0 0\n", 1700000037 + 0.05 * k, 0.5 * k);
+    DatasetOptions options;
+    options.poses_file = capture.parent_path() / "poses.txt";
+    write_bytes(options.poses_file, poses);
+    const Loaded loaded(capture, options);
+    ASSERT_EQ(loaded.error, "");
+    EXPECT_THAT(loaded.notes(), Names("37.000 s behind the sensor"));
+    for (std::size_t f = 0; f < images.frames; ++f) {
+        const double measured_s =
+            1e-9 * double(images.time_ns[f * images.columns + images.columns / 2] - 1700000037 * kSecond_ns);
+        EXPECT_NEAR(loaded.log.world_from_vehicle.pose[f].translation.x + loaded.log.world_offset_m.x,
+                    10.0 * measured_s, 0.02);  // the packets arrive 0.2 ms to 1 ms late
+    }
+}
+
+TEST_F(OusterPackets, TwoSensorsHaveTheirOwnMetadata) {
+    const OusterImages one = test::make_small_images(test::kSingle);
+    OusterImages other = test::make_small_images(test::kSingle);
+    other.product = "OS-0-16";
+    other.n_mm = 27.0;
+    for (std::uint32_t& mm : other.range_mm) mm += mm > 0 ? 1000 : 0;
+    auto datagrams = test::receive(test::make_packets(one));
+    std::ranges::copy(test::receive(test::make_packets(other), 7504), std::back_inserter(datagrams));
+    // packets of the IMU
+    for (int k = 0; k < 40; ++k)
+        datagrams.push_back({datagrams[0].stamp_ns + k * 10000000, std::string(48, '\1'), 7503});
+    std::ranges::stable_sort(datagrams, {}, &test::Datagram::stamp_ns);
+    const fs::path folder = make_fresh_folder("two");
+    test::write_pcap(folder / "drive.pcap", datagrams);
+    write_bytes(folder / "front.json", test::make_metadata(one, 7502));
+    write_bytes(folder / "rear.json", test::make_metadata(other, 7504));
+    write_bytes(folder / "notes.json", R"({"weather": "fair"})");
+    for (const auto& [port, images] : {std::pair(7502, &one), std::pair(7504, &std::as_const(other))}) {
+        DatasetOptions options;
+        options.lidars = {fmt::format("192.168.1.201:{}", port)};
+        const Loaded loaded(folder / "drive.pcap", options);
+        ASSERT_EQ(loaded.error, "");
+        expect_same_log(*images, loaded.log);
+        EXPECT_THAT(loaded.notes(), testing::Not(Names("expected")));
+    }
+    // Both metadata files name the same port.
+    write_bytes(folder / "rear.json", test::make_metadata(other, 7502));
+    const Loaded ambiguous(folder / "drive.pcap");
+    EXPECT_THAT(ambiguous.error, Names("3328 bytes on port 7502 ... metadata"));
+    fs::remove(folder / "rear.json");
+    // Packets of the second sensor must not be decoded with the metadata of the first
+    // sensor.
+    const Loaded half(folder / "drive.pcap");
+    EXPECT_THAT(half.notes(), Names("3328 bytes on port 7504 ... metadata"));
+    if (half.error.empty()) expect_same_log(one, half.log);
+    EXPECT_EQ(half.error, "");
+}
+
+TEST_F(OusterPackets, WhatIsWrongIsSaidInOneLine) {
+    const OusterImages images = test::make_small_images(test::kSingle);
+    const auto error_with = [&](const std::string& metadata) {
+        const fs::path capture = write_capture(images);
+        write_bytes(fs::path(capture).replace_extension(".json"), metadata);
+        std::string error = Loaded(capture).error;
+        EXPECT_EQ(error.find('\n'), std::string::npos);
+        return error;
+    };
+    const fs::path bare = write_capture(images);
+    fs::remove(fs::path(bare).replace_extension(".json"));
+    const Loaded alone(bare);
+    EXPECT_THAT(alone.error, Names("3328 bytes on port 7502 ... Ouster ... metadata ... drive.json"));
+    const std::string metadata = test::make_metadata(images, 7502);
+    EXPECT_THAT(error_with(metadata.substr(0, metadata.size() / 2)), Names("drive.json ... truncated"));
+    const std::array<const char*, 3> cases[] = {
+        {test::kSingle, "RNG15_RFL8_NIR8_ZONE16", "RNG15_RFL8_NIR8_ZONE16 ... LEGACY"},
+        {test::kSingle, test::kDual,
+         "3328 bytes on port 7502 ... 4352 bytes (RNG19_RFL8_SIG16_NIR16_DUAL, 16 beams, 16 columns"},
+        {"\"columns_per_frame\": 128", "\"columns_per_frame\": 1024",
+         "columns_per_frame is 1024, expected 128"},
+        {"\"pixels_per_column\": 16", "\"pixels_per_column\": 64", "pixels_per_column is 64, expected 16"},
+        {"[0, 127]", "[0, 128]", "column_window"},
+        {"\"columns_per_packet\": 16", "\"columns_per_packet\": 24", "divisor"},
+        {"\"lidar_mode\": \"128x10\"", "\"lidar_mode\": \"64x10\"", "columns_per_frame is 128"},
+    };
+    for (const auto& [from, to, parts] : cases) {
+        std::string text = metadata;
+        EXPECT_THAT(error_with(text.replace(text.find(from), std::strlen(from), to)),
+                    Names(std::string(parts)));
+    }
+    auto datagrams = test::receive(test::make_packets(images));
+    for (test::Datagram& datagram : datagrams) datagram.bytes[0] = 2;
+    EXPECT_THAT(Loaded(write_capture(images, datagrams)).error, Names("type 2, expected 1 ... LiDAR"));
+    for (test::Datagram& datagram : datagrams) {
+        datagram.bytes[0] = 1;
+        datagram.bytes[32 + 9] = 4;  // column 1024 and above
+    }
+    EXPECT_THAT(Loaded(write_capture(images, datagrams)).error, Names("128 ... lidar_mode"));
+}
+
+}  // namespace
+}  // namespace relidar

@@ -1,0 +1,253 @@
+// SPDX-License-Identifier: Apache-2.0
+// Converts points to scans. The test computes points from the rays of a sensor and
+// shuffles them. Each point must be assigned to its original ray.
+#include <relidar/read/clouds.hpp>
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <numeric>
+
+#include <gtest/gtest.h>
+
+#include <relidar/base/error.hpp>
+#include "base/random.hpp"
+#include "support/names.hpp"
+
+namespace relidar {
+namespace {
+
+SpinningSensor sensor() {
+    SpinningSensor s;
+    for (int b = 0; b < 12; ++b)
+        s.beams.push_back({.elevation_rad = 0.05 - 0.03 * b,
+                           .azimuth_offset_rad = 0.02 * (b % 3 - 1),
+                           .origin_offset_m = 0.03,
+                           .origin_up_m = 0.1,
+                           .origin_left_m = 0.02 * (b % 2)});
+    s.columns = 360;
+    s.period_s = 0.1;
+    s.first_azimuth_rad = kPi - 0.3 * 2.0 * kPi / 360;  // an arbitrary phase
+    return s;
+}
+
+/// Computes returns along the sensor's rays. Every fifth ray has no return, and some rays
+/// have a second return.
+struct Truth {
+    Scan scan;
+    LidarPoints points;  ///< shuffled
+
+    explicit Truth(const SpinningSensor& sensor, bool second = false) {
+        Random random(5);
+        scan.rays = make_rays(sensor);
+        scan.range_m.assign(scan.rays.size(), 0.0f);
+        scan.intensity.assign(scan.rays.size(), 0.0f);
+        if (second) scan.second_returns.assign(1, {to_vector(scan.range_m), to_vector(scan.intensity)});
+        for (std::size_t i = 0; i < scan.rays.size(); ++i) {
+            if (random.sample_uniform_number() < 0.2) continue;
+            scan.range_m[i] = float(random.sample_uniform_number(2.0, 60.0));
+            scan.intensity[i] = float(random.sample_uniform_number());
+            if (second && random.sample_uniform_number() < 0.1) {
+                scan.second_returns[0].range_m[i] = scan.range_m[i] + 3.0f;
+                scan.second_returns[0].intensity[i] = 0.25f;
+            }
+        }
+        std::vector<std::size_t> order(scan.rays.size());
+        std::iota(order.begin(), order.end(), std::size_t(0));
+        for (std::size_t i = order.size(); i-- > 1;)
+            std::swap(order[i], order[std::size_t(random.sample_random_uint64() % (i + 1))]);
+        for (const std::size_t i : order) {
+            if (scan.range_m[i] == 0.0f) continue;
+            add(i, scan.range_m[i], scan.intensity[i], 1);
+            if (second && scan.second_returns[0].range_m[i] > 0.0f)
+                add(i, scan.second_returns[0].range_m[i], scan.second_returns[0].intensity[i], 2);
+        }
+    }
+
+private:
+    void add(std::size_t ray, float range_m, float intensity, std::uint8_t number) {
+        points.position_m.push_back(scan.rays.origin[ray] + range_m * scan.rays.direction[ray]);
+        points.intensity.push_back(intensity);
+        points.ring.push_back(scan.rays.channel[ray]);
+        points.return_number.push_back(number);
+        // the sensor faces forward 4 ms late
+        points.time_offset_s.push_back(scan.rays.time_offset_s[ray] + 0.004f);
+    }
+};
+
+void expect_same_rays(const Scan& actual, const Scan& truth, float late_s) {
+    ASSERT_EQ(actual.rays.rows, truth.rays.rows);
+    ASSERT_EQ(actual.rays.columns, truth.rays.columns);
+    for (std::size_t i = 0; i < truth.rays.size(); ++i) {
+        ASSERT_EQ(actual.range_m[i] > 0.0f, truth.range_m[i] > 0.0f) << "ray " << i;
+        EXPECT_NEAR(actual.range_m[i], truth.range_m[i], 1e-4f);
+        EXPECT_EQ(actual.intensity[i], truth.intensity[i]);
+        EXPECT_LT(glm::distance(actual.rays.direction[i], truth.rays.direction[i]), 1e-4f) << "ray " << i;
+        EXPECT_LT(glm::distance(actual.rays.origin[i], truth.rays.origin[i]), 1e-4f);
+        EXPECT_EQ(actual.rays.channel[i], truth.rays.channel[i]);
+        EXPECT_NEAR(actual.rays.time_offset_s[i], truth.rays.time_offset_s[i] + late_s, 1e-5f) << "ray " << i;
+    }
+}
+
+Scan assign(const LidarPoints& points, const SpinningSensor& sensor) {
+    return assign_points_to_rays_of_spinning_scan(points, sensor,
+                                                  fit_equal_azimuth_steps_to_points(points, sensor));
+}
+
+TEST(SpinningScan, PointsFindTheirRaysAndTheRestIsDropped) {
+    for (const bool clockwise : {true, false}) {
+        SpinningSensor spinning = sensor();
+        spinning.clockwise = clockwise;
+        Truth truth(spinning);
+        expect_same_rays(assign(truth.points, spinning), truth.scan, 0.004f);  // times of the points
+        truth.points.time_offset_s.clear();
+        expect_same_rays(assign(truth.points, spinning), truth.scan, 0.0f);
+    }
+}
+
+TEST(SpinningScan, KeepsSecondReturns) {
+    const Truth truth(sensor(), true);
+    const Scan actual = assign(truth.points, sensor());
+    ASSERT_EQ(actual.second_returns.size(), 1u);
+    for (std::size_t i = 0; i < truth.scan.rays.size(); ++i) {
+        EXPECT_NEAR(actual.range_m[i], truth.scan.range_m[i], 1e-4f);
+        EXPECT_NEAR(actual.second_returns[0].range_m[i], truth.scan.second_returns[0].range_m[i], 1e-4f);
+        EXPECT_EQ(actual.second_returns[0].intensity[i], truth.scan.second_returns[0].intensity[i]);
+    }
+    Scan cut = actual;
+    remove_returns_outside_limits(cut, {0.0, 30.0});
+    for (std::size_t i = 0; i < cut.range_m.size(); ++i)
+        EXPECT_TRUE(cut.second_returns[0].range_m[i] == 0.0f ||
+                    (cut.second_returns[0].range_m[i] <= 30.0f && cut.range_m[i] > 0.0f));
+}
+
+TEST(SpinningScan, FarPointsAreDroppedAndCrowdsThinned) {
+    const SpinningSensor s = sensor();
+    LidarPoints points;
+    const BeamRay ray = compute_beam_ray(s.beams[0], 0.0);
+    for (const double range : {10.0, 12.0, 14.0, 11.0, 9.0, 200.0}) {
+        points.position_m.emplace_back(ray.origin_m + range * ray.direction);
+        points.intensity.push_back(2.0f);
+        points.ring.push_back(0);
+    }
+    const Scan scan = assign(points, s);
+    EXPECT_EQ(scan.count_returns(), 3u) << "its own ray and those beside it";
+    EXPECT_NEAR(*std::max_element(scan.range_m.begin(), scan.range_m.end()), 14.0f, 1e-3f);
+    EXPECT_EQ(std::count(scan.intensity.begin(), scan.intensity.end(), 1.0f), 3) << "intensities are cut";
+    float nearest = 1e9f;
+    for (const float range : scan.range_m) nearest = range > 0.0f ? std::min(nearest, range) : nearest;
+    EXPECT_NEAR(nearest, 9.0f, 1e-3f) << "the nearer is kept";
+}
+
+/// In a sweep of more than a turn, two firings have azimuth 3. Both firings must keep
+/// their points and times.
+TEST(SpinningScan, ToldFiringsOfOneAzimuthStayApart) {
+    SpinningSensor one = sensor();
+    one.beams = {{.elevation_rad = 0.0}};
+    one.columns = 3;
+    const EncoderTickGrid lattice{360, 0.0};
+    const SweepFirings sweep{lattice,
+                             {lattice.find_nearest_encoder_tick(3.0), lattice.find_nearest_encoder_tick(3.0),
+                              lattice.find_nearest_encoder_tick(1.0)}};
+    const auto point = [](double azimuth, float range_m) {
+        return range_m * glm::vec3(std::cos(azimuth), std::sin(azimuth), 0.0);
+    };
+    const LidarPoints points{{point(1.0, 7.0f), point(3.0, 5.0f), point(3.0, 6.0f)},
+                             {0.1f, 0.2f, 0.3f},
+                             {0, 0, 0},
+                             {0.05f, 0.0f, 0.1f},
+                             {},
+                             {2, 1, 0}};
+    const Scan scan = assign_points_to_rays_of_spinning_scan(points, one, sweep);
+    EXPECT_EQ(scan.rays.time_offset_s, (ScanArray<float>{0.1f, 0.0f, 0.05f}));
+    for (std::size_t i = 0; i < 3; ++i)
+        EXPECT_NEAR(scan.range_m[i], (std::array{6.0f, 5.0f, 7.0f}[i]), 1e-6f);
+    LidarPoints beyond = points;
+    beyond.firing[0] = 3;
+    EXPECT_THROW(assign_points_to_rays_of_spinning_scan(beyond, one, sweep), UsageError);
+}
+
+TEST(UnorderedScan, HasARayForEachPointAndNoOther) {
+    LidarPoints points;
+    points.position_m = {{3, 4, 0}, {6, 8, 0}, {0, 0, -2}, {0, 0, 0}, {1, 0, 0}};
+    points.intensity = {0.1f, 0.2f, 0.3f, 0.4f, -1.0f};
+    points.time_offset_s = {0.0f, 0.0f, 0.01f, 0.02f, 0.03f};
+    points.return_number = {1, 2, 1, 1, 1};
+    const Scan scan = make_scan_with_one_ray_per_point(points);
+    EXPECT_EQ(scan.rays.rows, 1);
+    EXPECT_EQ(scan.rays.columns, 3) << "a point in the sensor has no direction";
+    EXPECT_EQ(scan.range_m, (ScanArray<float>{5, 2, 1}));
+    EXPECT_EQ(scan.second_returns[0].range_m, (std::vector<float>{10, 0, 0}));
+    EXPECT_EQ(scan.intensity, (ScanArray<float>{0.1f, 0.3f, 0.0f}));
+    EXPECT_EQ(scan.rays.direction[1], glm::vec3(0, 0, -1));
+    EXPECT_EQ(scan.rays.time_offset_s[2], 0.03f);
+}
+
+std::string error_of(const LidarPoints& points) {
+    try {
+        assign_points_to_rays_of_spinning_scan(points, sensor(), {{360, 0.0}, {0}});
+    } catch (const UsageError& error) {
+        return error.what();
+    }
+    return "none";
+}
+
+TEST(SpinningScan, SaysWhichArrayIsWrong) {
+    LidarPoints points;
+    points.position_m = {{3, 4, 0}, {6, 8, 0}};
+    points.intensity = {0.1f, 0.2f};
+    EXPECT_THAT(error_of(points), test::Names("scan: found 0 values ... points ... 2"));
+    points.ring = {0, 12};
+    EXPECT_THAT(error_of(points), test::Names("scan: point 1 has ring 12 ... 12 beams"));
+    points.ring = {0, 11};
+    points.return_number = {1, 200};
+    EXPECT_THAT(error_of(points), test::Names("scan: point 1 has return number 200, expected 1 to 8"));
+    points.return_number = {0, 1};
+    EXPECT_THAT(error_of(points), test::Names("scan: point 0 has return number 0, expected 1 to 8"));
+    points.return_number = {1};
+    EXPECT_THAT(error_of(points), test::Names("scan: found 1 values of return_number ... points ... 2"));
+}
+
+TEST(UndoCompensation, BringsPointsBackToTheirOwnTimes) {
+    const PoseTrack track{{0.0, 1.0},
+                          {Pose{}, Pose{glm::angleAxis(0.5, glm::dvec3(0, 0, 1)), {9.0, -2.0, 0.3}}}};
+    Random random(9);
+    LidarPoints points;
+    std::vector<glm::vec3> measured;
+    for (int i = 0; i < 200; ++i) {
+        const double offset_s = random.sample_uniform_number(-0.05, 0.05);
+        measured.emplace_back(random.sample_uniform_number(-30.0, 30.0),
+                              random.sample_uniform_number(-30.0, 30.0),
+                              random.sample_uniform_number(-2.0, 3.0));
+        points.time_offset_s.push_back(float(offset_s));
+        const glm::dmat4 compensate =
+            glm::inverse(to_matrix(track.interpolate_pose(0.4))) *
+            to_matrix(track.interpolate_pose(0.4 + double(points.time_offset_s.back())));
+        points.position_m.emplace_back(compensate * glm::dvec4(glm::dvec3(measured.back()), 1.0));
+    }
+    EXPECT_GT(glm::distance(points.position_m[0], measured[0]), 0.01f);
+    undo_motion_compensation(points, track, 0.4);
+    for (std::size_t i = 0; i < measured.size(); ++i)
+        EXPECT_LT(glm::distance(points.position_m[i], measured[i]), 2e-5f);
+}
+
+TEST(Tracks, LabelsJoinByIdAndTheWorldMovesAsOne) {
+    LidarSequence log;
+    for (int i = 0; i < 3; ++i) add_frame(log, i, 0.1 * i, {{1, 0, 0, 0}, {1000.0 + i, 5.0, 0.0}});
+    log.boxes = build_tracks({{"b", "Car", {4, 2, 1.5}, 0.0, {{1, 0, 0, 0}, {1010, 5, 0}}},
+                              {"a", "Van", {5, 2, 2}, 0.0, {}},
+                              {"b", "Car", {4, 2, 1.5}, 0.1, {{1, 0, 0, 0}, {1011, 5, 0}}}});
+    ASSERT_EQ(log.boxes.size(), 2u);
+    EXPECT_EQ(log.boxes[0].id, "b");
+    EXPECT_EQ(log.boxes[0].world_from_box.time_s, (std::vector<double>{0.0, 0.1}));
+    add_frame(log, 2, 0.2, {{1, 0, 0, 0}, {77.0, 0.0, 0.0}}, 1);
+    EXPECT_EQ(log.frames.size(), 4u);
+    EXPECT_EQ(log.world_from_vehicle.pose.size(), 3u) << "the pose of that time is known";
+    move_world_origin_of_log(log);
+    EXPECT_EQ(log.world_offset_m, glm::dvec3(1001, 5, 0));
+    EXPECT_EQ(log.world_from_vehicle.pose[2].translation, glm::dvec3(1, 0, 0));
+    EXPECT_EQ(log.boxes[0].world_from_box.pose[1].translation, glm::dvec3(10, 0, 0));
+}
+
+}  // namespace
+}  // namespace relidar

@@ -1,0 +1,108 @@
+// SPDX-License-Identifier: Apache-2.0
+// Writes small sequences of Boreas, MulRan and ONCE. A vehicle drives a bend through a
+// yard with walls. Its LiDAR measures every point from the pose at the time of the point.
+// Axes, names, times and poses follow each dataset.
+#pragma once
+
+#include <cstdint>
+#include <filesystem>
+#include <string>
+#include <vector>
+
+#include <relidar/base/math.hpp>
+#include <relidar/read/dataset.hpp>
+#include <relidar/log/sensor.hpp>
+#include "support/logs.hpp"
+
+namespace relidar::test {
+
+/// A single firing of a laser.
+struct StampedRay {
+    double time_s = 0.0;       ///< relative to the first scan
+    glm::dvec3 origin_m{0.0};  ///< in the world, like point_m
+    glm::dvec3 point_m{0.0};
+    glm::vec3 local_m{0.0f};  ///< in the LiDAR's frame, with the dataset's axes
+    bool returned = false;
+};
+
+/// Simulates a drive on a level road with a tilted vehicle and its LiDAR.
+struct StampedDrive {
+    double speed_mps = 8.0, rate_rad_s = 0.3, heading_rad = 0.4, pitch_rad = 0.0, roll_rad = 0.0;
+    glm::dvec3 start_m{0.0};  ///< start in the yard
+    glm::dvec3 world_m{0.0};  ///< position of the yard
+    Pose vehicle_from_lidar;  ///< with the dataset's axes
+    std::vector<Beam> beams;  ///< highest beam first
+    int columns = 0, n_scans = 0;
+    /// Time between scans. A turn takes 0.1 s, and the time stamp is in the middle of the
+    /// turn.
+    double step_s = 0.1;
+    double first_azimuth_rad = kPi;                  ///< in the LiDAR's frame
+    std::vector<std::vector<StampedRay>> rays = {};  ///< [scan] column by column
+
+    Pose compute_vehicle_pose(double time_s) const;
+    Pose compute_lidar_pose_at(double time_s) const {
+        return compute_vehicle_pose(time_s) * vehicle_from_lidar;
+    }
+    void cast();
+    std::size_t count_returns(int scan) const;
+};
+
+struct StampedFolder : LogFolder {
+    StampedDrive drive;
+
+    using LogFolder::LogFolder;
+};
+
+/// Boreas sequence with 128 beams. The laser numbers are not sorted by elevation. The
+/// LiDAR is turned 42.6 degrees to the right, and its frame starts in that direction.
+/// Poses continue for 40 s after the scans, twice around the yard.
+struct BoreasFolder : StampedFolder {
+    static constexpr std::int64_t kFirst_us = 1606417097528152;
+    static constexpr int kScans = 6;
+
+    /// @param angles rotation order. 0 is the order in the documentation of Boreas, and 1
+    /// is the common order. 2 and 3 are the orders 0 and 1 with roll and yaw exchanged.
+    explicit BoreasFolder(const std::string& name, int angles = 0, int columns = 360);
+    static std::int64_t stamp(int scan) { return kFirst_us + scan * 100000; }
+    std::filesystem::path scan(int number) const {
+        return folder / "lidar" / (std::to_string(stamp(number)) + ".bin");
+    }
+    std::filesystem::path poses() const { return folder / "applanix/lidar_poses.csv"; }
+    std::filesystem::path calibration() const { return folder / "calib/T_applanix_lidar.txt"; }
+    static int find_laser(std::size_t beam) { return int(beam * 37 + 11) % 128; }
+};
+
+/// MulRan sequence with 64 x 1024 points per scan, starting backward. The poses of the
+/// track do not enclose the first scan.
+struct MulranFolder : StampedFolder {
+    static constexpr std::int64_t kFirst_ns = 1561000444390857630;
+    static constexpr int kScans = 4;
+
+    /// @param by_column if true, the points in files are ordered by column, otherwise by
+    /// ring
+    explicit MulranFolder(const std::string& name, bool by_column = true);
+    static std::int64_t stamp(int scan) { return kFirst_ns + scan * std::int64_t(100000000); }
+    std::filesystem::path scan(int number) const {
+        return folder / "Ouster" / (std::to_string(stamp(number)) + ".bin");
+    }
+    std::filesystem::path poses() const { return folder / "global_pose.csv"; }
+};
+
+/// 40 beams, two scans per second, without point times.
+struct OnceFolder : StampedFolder {
+    static constexpr std::int64_t kFirst_ms = 1616535966200;
+    static constexpr int kScans = 4;
+
+    /// @param w_first true if w is the first component of quaternions
+    explicit OnceFolder(const std::string& name, bool w_first = false, int columns = 900);
+    static std::int64_t stamp(int scan) { return kFirst_ms + scan * 500; }
+    std::filesystem::path scan(int number) const {
+        return folder / "lidar_roof" / (std::to_string(stamp(number)) + ".bin");
+    }
+    std::filesystem::path json() const { return folder / (folder.filename().string() + ".json"); }
+};
+
+/// Returns the distance of a point to the nearest surface of the yard.
+double measure_distance_to_yard_m(const glm::dvec3& point_m);
+
+}  // namespace relidar::test

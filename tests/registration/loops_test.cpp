@@ -1,0 +1,77 @@
+// SPDX-License-Identifier: Apache-2.0
+// Detects roads that are driven again. One drive goes around a block with drifted
+// odometry. A second drive crosses itself only because its poses are wrong. A third drive
+// follows a street once.
+
+#include <gtest/gtest.h>
+
+#include <relidar/read/dataset.hpp>
+
+#include "registration/loops.hpp"
+#include "town.hpp"
+
+namespace relidar {
+namespace {
+
+LoopClosureResult close(const PoseTrack& track, const SubsampledScans& scans) {
+    return close_loops(track, scans, {2.0, 0.5}, {0.5, 0.1}, [](double) { return true; });
+}
+
+SubsampledScans thin(const LidarSequence& log) {
+    RegistrationOptions movers;
+    movers.movers = log.boxes;
+    return downsample_selected_sweeps(log, group_frames_into_sweeps(log),
+                                      std::vector<bool>(log.frames.size(), true), movers, 0.5);
+}
+
+/// Simulates the drift of odometry by rotating every step slightly sideways and down.
+PoseTrack bend_track(const PoseTrack& exact, double yaw_rad_per_m, double pitch_rad_per_m) {
+    PoseTrack track = exact;
+    for (std::size_t k = 1; k < track.pose.size(); ++k) {
+        Pose step = inverse(exact.pose[k - 1]) * exact.pose[k];
+        const double length = glm::length(step.translation);
+        step.rotation = step.rotation * glm::angleAxis(yaw_rad_per_m * length, glm::dvec3(0, 0, 1)) *
+                        glm::angleAxis(pitch_rad_per_m * length, glm::dvec3(0, 1, 0));
+        track.pose[k] = track.pose[k - 1] * step;
+    }
+    return track;
+}
+
+/// Returns the position error of the last pose relative to the first pose.
+double gap_m(const PoseTrack& track, const PoseTrack& exact) {
+    return glm::distance((inverse(track.pose.front()) * track.pose.back()).translation,
+                         (inverse(exact.pose.front()) * exact.pose.back()).translation);
+}
+
+TEST(CloseLoops, ADriveAroundABlockMeetsItsBeginning) {
+    const LidarSequence drive = test::drive_around_block(300);
+    const PoseTrack& exact = drive.world_from_vehicle;
+    const PoseTrack drifted = bend_track(exact, 2e-4, 2e-4);  // about 3.2 degrees over 283 m
+    EXPECT_GT(gap_m(drifted, exact), 2.0) << "the start is far off";
+    const LoopClosureResult closed = close(drifted, thin(drive));
+    EXPECT_GE(closed.n_closures, 2u);
+    EXPECT_GT(closed.largest_m, 2.0);
+    EXPECT_LT(gap_m(closed.track, exact), 0.1);
+    for (std::size_t k = 1; k < exact.pose.size(); ++k) {  // no jumps between neighbouring poses
+        const Pose step = inverse(closed.track.pose[k - 1]) * closed.track.pose[k],
+                   was = inverse(exact.pose[k - 1]) * exact.pose[k];
+        EXPECT_LT(glm::distance(step.translation, was.translation), 0.03) << "at " << k;
+    }
+}
+
+TEST(CloseLoops, WhereNothingIsSeenAgainAllStays) {
+    const LidarSequence log = make_synthetic_street({.n_frames = 160, .rows = 32, .columns = 256});
+    const auto scans = thin(log);
+    const PoseTrack& exact = log.world_from_vehicle;
+    EXPECT_EQ(close(exact, scans).n_closures, 0u);
+    // Wrong poses turn the straight street into a circle. The end of the circle is close
+    // to its start, but the scans at both positions differ.
+    const PoseTrack circle = bend_track(exact, 2.0 * kPi / 120.0, 0.0);
+    const LoopClosureResult closed = close(circle, scans);
+    EXPECT_EQ(closed.n_closures, 0u) << "up to " << closed.largest_m << " m";
+    for (std::size_t k = 0; k < exact.pose.size(); ++k)
+        ASSERT_EQ(closed.track.pose[k].translation, circle.pose[k].translation);
+}
+
+}  // namespace
+}  // namespace relidar

@@ -1,0 +1,103 @@
+// SPDX-License-Identifier: Apache-2.0
+// Registers moving boxes on the synthetic street and compares them with the exact tracks.
+// The labels have a slow drift along the track, jitter, and errors of the yaw.
+#include <cmath>
+#include <random>
+
+#include <gtest/gtest.h>
+
+#include <relidar/read/dataset.hpp>
+#include <relidar/registration/registration.hpp>
+
+namespace relidar {
+namespace {
+
+constexpr double kDegree = 0.017453292519943295;
+
+/// Adds typical label errors to all poses of a box: a drift of 10 cm along the track,
+/// jitter with a standard deviation of 5 cm, and a yaw that drifts by 2 degrees.
+BoxTrack add_label_errors(BoxTrack box, std::uint64_t seed) {
+    std::mt19937_64 random(seed);
+    std::normal_distribution<double> jitter(0.0, 0.05);
+    PoseTrack& track = box.world_from_box;
+    for (std::size_t k = 0; k < track.pose.size(); ++k) {
+        const double phase = double(k) / double(track.pose.size());
+        const Pose error{glm::angleAxis(2.0 * kDegree * std::sin(6.0 * phase), glm::dvec3(0.0, 0.0, 1.0)),
+                         {0.1 * std::cos(4.0 * phase) + jitter(random), jitter(random), 0.0}};
+        track.pose[k] = track.pose[k] * error;
+    }
+    return box;
+}
+
+/// Largest errors of a track. The mean error in the frame of the box is removed first,
+/// because points cannot determine a constant offset of a box.
+struct TrackError {
+    double along_m = 0.0, across_m = 0.0, yaw_rad = 0.0;
+};
+TrackError measure_error_of_track(const BoxTrack& box, const BoxTrack& exact) {
+    std::vector<glm::dvec3> errors;  // x, y, yaw
+    glm::dvec3 mean(0.0);
+    for (std::size_t k = 0; k < box.world_from_box.pose.size(); ++k) {
+        const Pose error = inverse(exact.world_from_box.pose[k]) * box.world_from_box.pose[k];
+        errors.push_back(
+            {error.translation.x, error.translation.y, 2.0 * std::atan2(error.rotation.z, error.rotation.w)});
+        mean += errors.back() / double(box.world_from_box.pose.size());
+    }
+    TrackError result;
+    for (const glm::dvec3& error : errors) {
+        result.along_m = std::max(result.along_m, std::abs(error.x - mean.x));
+        result.across_m = std::max(result.across_m, std::abs(error.y - mean.y));
+        result.yaw_rad = std::max(result.yaw_rad, std::abs(error.z - mean.z));
+    }
+    return result;
+}
+
+/// Registration must correct labels that drift. The car drives ahead of the sensor, so
+/// that only its rear is visible. The rear determines the position along the track and
+/// the yaw. Only the labels determine the position across the track.
+TEST(RegisterActors, CorrectsDriftingLabels) {
+    const LidarSequence exact = make_synthetic_street({.n_frames = 30, .rows = 64, .columns = 1024});
+    LidarSequence street = exact;
+    for (std::size_t i = 0; i < street.boxes.size(); ++i)
+        street.boxes[i] = add_label_errors(street.boxes[i], i + 1);
+    const LidarSequence labelled = street;
+    const TrainTestSplit split = split_frames_into_train_and_test(street, 10);
+    const ActorRegistrationResult registration = register_actors(street, split.train);
+    EXPECT_GT(registration.n_registered, 0u);
+    const TrackError before = measure_error_of_track(labelled.boxes[0], exact.boxes[0]),
+                     after = measure_error_of_track(street.boxes[0], exact.boxes[0]);
+    EXPECT_GT(before.along_m, 0.08);
+    EXPECT_GT(before.yaw_rad, 1.9 * kDegree);
+    EXPECT_LT(after.along_m, 0.01);
+    EXPECT_LT(after.yaw_rad, 0.3 * kDegree);
+    EXPECT_LT(after.across_m, before.across_m + 0.01);
+}
+
+/// Exact labels must not change, because a correction would only add noise.
+TEST(RegisterActors, KeepsExactLabels) {
+    const LidarSequence exact = make_synthetic_street({.n_frames = 12, .rows = 32, .columns = 512});
+    LidarSequence street = exact;
+    register_actors(street, split_frames_into_train_and_test(street, 0).train);
+    for (std::size_t i = 0; i < street.boxes.size(); ++i)
+        EXPECT_LT(measure_error_of_track(street.boxes[i], exact.boxes[i]).along_m, 0.01) << "box " << i;
+}
+
+/// A parked car must get a single pose, although its label drifts by 2.5 m.
+TEST(RegisterActors, FindsStandingCarsWithDriftingLabels) {
+    LidarSequence street =
+        make_synthetic_street({.n_frames = 20, .rows = 64, .columns = 1024, .speed_mps = 0.001});
+    ASSERT_FALSE(street.boxes.empty());
+    BoxTrack& box = street.boxes[0];
+    std::vector<Pose>& poses = box.world_from_box.pose;
+    for (std::size_t k = 0; k < poses.size(); ++k)
+        poses[k] =
+            poses[k] * Pose{{1.0, 0.0, 0.0, 0.0}, {2.5 * double(k) / double(poses.size()) - 1.25, 0.0, 0.0}};
+    ASSERT_TRUE(box.is_moving());
+    const ActorRegistrationResult registration =
+        register_actors(street, split_frames_into_train_and_test(street, 0).train);
+    EXPECT_EQ(registration.n_standing, 1u);
+    EXPECT_FALSE(box.is_moving());
+}
+
+}  // namespace
+}  // namespace relidar

@@ -1,0 +1,211 @@
+// SPDX-License-Identifier: Apache-2.0
+// Registers scans of the synthetic street and compares them with the exact poses. Covers
+// poses with white noise and with drift, held-out scans, an invalid scan, and a
+// correction beyond the limit.
+#include <algorithm>
+#include <random>
+
+#include <gtest/gtest.h>
+
+#include <relidar/base/error.hpp>
+#include <relidar/read/dataset.hpp>
+#include <relidar/registration/registration.hpp>
+
+#include "street_poses.hpp"
+#include "support/names.hpp"
+
+namespace relidar {
+namespace {
+
+using test::error_of;
+using test::PoseError;
+
+LidarSequence make_street_of(int n_frames) {
+    return make_synthetic_street({.n_frames = n_frames, .rows = 32, .columns = 256});
+}
+
+RegistrationOptions make_options_without_movers(const std::vector<BoxTrack>& movers) {
+    RegistrationOptions options;
+    options.movers = movers;
+    return options;
+}
+
+RegistrationResult register_street(const LidarSequence& street, int test_every = 0) {
+    return register_scans(street, split_frames_into_train_and_test(street, test_every),
+                          make_options_without_movers(street.boxes));
+}
+
+/// Checks that the poses of training and test scans have the required accuracy: 1 cm and
+/// 0.05 degrees.
+void expect_registered(const RegistrationResult& registration, const PoseTrack& exact,
+                       const TrainTestSplit& split, const char* description) {
+    const PoseTrack& track = registration.world_from_vehicle;
+    const PoseError train = error_of(track, exact, split.train);
+    EXPECT_LT(train.median_m, 0.005) << description;
+    EXPECT_LT(train.median_deg, 0.02) << description;
+    if (split.test.empty()) return;
+    std::vector<int> all = split.train;
+    all.insert(all.end(), split.test.begin(), split.test.end());
+    EXPECT_LT(error_of(track, exact, all).median_m, 0.005) << description;
+    for (const int position : split.test) {  // relative to the previous training pose
+        const auto k = std::size_t(position);
+        const Pose exact_step = inverse(exact.pose[k - 1]) * exact.pose[k],
+                   step = inverse(track.pose[k - 1]) * track.pose[k];
+        EXPECT_LT(glm::length(step.translation - exact_step.translation), 0.02)
+            << description << ", held-out frame " << k;
+    }
+}
+
+/// Each sweep covers a fifth of the street. The two ends of the street are therefore
+/// connected only if the poses of all sweeps are solved together.
+TEST(RegisterScans, LongStreetStaysWhereItIs) {
+    const LidarSequence street =
+        make_synthetic_street({.seed = 7, .n_frames = 400, .rows = 32, .columns = 256});
+    const RegistrationResult registration = register_street(street, 10);
+    EXPECT_TRUE(registration.lost.empty()) << registration.lost.size() << " scans are lost";
+    const PoseError error = error_of(registration.world_from_vehicle, street.world_from_vehicle,
+                                     split_frames_into_train_and_test(street, 10).train);
+    EXPECT_LT(error.rms_m, 0.03);
+    EXPECT_LT(error.worst_m, 0.06);
+}
+
+TEST(RegisterScans, FindsPosesBackAfterNoiseAndDrift) {
+    const LidarSequence street = make_street_of(21);
+    const PoseTrack& exact = street.world_from_vehicle;
+    const TrainTestSplit split = split_frames_into_train_and_test(street, 10);
+    expect_registered(
+        register_street(test::set_poses(street, test::perturb_track(exact, 0.05, 0.3 * test::kDegree, 1)),
+                        10),
+        exact, split, "noise of 5 cm and 0.3 degrees");
+    expect_registered(
+        register_street(test::set_poses(street, test::add_drift(exact, 0.2, 0.3 * test::kDegree)), 10), exact,
+        split, "drift of 20 cm");
+}
+
+/// Two training sweeps must suffice, with a held-out sweep between them. With only two
+/// scans, a plane needs more points of each scan.
+TEST(RegisterScans, TwoScansAreEnough) {
+    const LidarSequence street = make_street_of(3);
+    const PoseTrack& exact = street.world_from_vehicle;
+    PoseTrack wrong = test::perturb_track(exact, 0.1, 0.3 * test::kDegree, 6);
+    const RegistrationResult registration = register_scans(test::set_poses(street, wrong), {{0, 2}, {1}},
+                                                           make_options_without_movers(street.boxes));
+    ASSERT_TRUE(registration.done);
+    EXPECT_TRUE(registration.lost.empty());
+    const PoseError error = error_of(registration.world_from_vehicle, exact, {0, 1, 2});
+    EXPECT_LT(error.worst_m, 0.01);
+    EXPECT_LT(error.worst_deg, 0.05);
+}
+
+TEST(RegisterScans, WithoutARollingShutterToo) {
+    const SyntheticOptions options{.n_frames = 11, .rows = 32, .columns = 256, .speed_mps = 1.0};
+    LidarSequence street = make_synthetic_street(options);
+    for (LidarFrame& frame : street.frames) {  // simulates a sensor that fires all rays at the same time
+        RayTable rays = frame.scan.rays;
+        std::fill(rays.time_offset_s.begin(), rays.time_offset_s.end(), 0.0f);
+        frame.scan = cast_rays_into_synthetic_street(options, rays, street.world_from_vehicle, frame.time_s);
+    }
+    street.rolling_shutter = false;
+    const PoseTrack exact = street.world_from_vehicle;
+    expect_registered(
+        register_street(test::set_poses(street, test::perturb_track(exact, 0.05, 0.3 * test::kDegree, 2)), 5),
+        exact, split_frames_into_train_and_test(street, 5), "all rays at once");
+}
+
+TEST(RegisterScans, MeanCorrectionIsZeroAndExactPosesStay) {
+    const LidarSequence street = make_street_of(11);
+    const LidarSequence wrong =
+        test::set_poses(street, test::perturb_track(street.world_from_vehicle, 0.05, 0.3 * test::kDegree, 3));
+    const RegistrationResult registration = register_street(wrong);
+    glm::dvec3 v(0.0), w(0.0);
+    for (std::size_t k = 0; k < registration.world_from_vehicle.pose.size(); ++k) {
+        const Twist c =
+            compute_twist(wrong.world_from_vehicle.pose[k], registration.world_from_vehicle.pose[k]);
+        v += glm::dvec3(c[0], c[1], c[2]);
+        w += glm::dvec3(c[3], c[4], c[5]);
+    }
+    EXPECT_LT(glm::length(v), 1e-6);
+    EXPECT_LT(glm::length(w), 1e-6);
+    const RegistrationResult exact_registration = register_street(street);
+    for (std::size_t k = 0; k < exact_registration.world_from_vehicle.pose.size(); ++k)
+        EXPECT_LT(glm::distance(exact_registration.world_from_vehicle.pose[k].translation,
+                                street.world_from_vehicle.pose[k].translation),
+                  0.01)
+            << k;
+    EXPECT_TRUE(exact_registration.lost.empty());
+}
+
+/// The content of a held-out scan must not change the training poses in any bit.
+TEST(RegisterScans, HeldOutScansMoveNoOtherPose) {
+    LidarSequence street = make_street_of(11);
+    set_vehicle_poses(street, test::perturb_track(street.world_from_vehicle, 0.05, 0.3 * test::kDegree, 4));
+    const TrainTestSplit split = split_frames_into_train_and_test(street, 5);
+    const RegistrationOptions options = make_options_without_movers(street.boxes);
+    const PoseTrack track = register_scans(street, split, options).world_from_vehicle;
+    LidarSequence other = street;
+    for (const int k : split.test)
+        for (float& range : other.frames[std::size_t(k)].scan.range_m) range *= 1.01f;
+    const PoseTrack again = register_scans(other, split, options).world_from_vehicle;
+    for (const int k : split.train) {
+        EXPECT_EQ(track.pose[std::size_t(k)].translation, again.pose[std::size_t(k)].translation);
+        EXPECT_EQ(track.pose[std::size_t(k)].rotation, again.pose[std::size_t(k)].rotation);
+    }
+    for (const int k : split.test)
+        EXPECT_NE(track.pose[std::size_t(k)].translation, again.pose[std::size_t(k)].translation)
+            << "its own pose follows its scan";
+}
+
+TEST(RegisterScans, AScanOfGarbageIsPlacedAsItsNeighbours) {
+    LidarSequence street = make_street_of(11);
+    const PoseTrack exact = street.world_from_vehicle;
+    set_vehicle_poses(street, test::add_drift(exact, 0.2, 0.3 * test::kDegree));
+    std::mt19937_64 random(5);
+    std::uniform_real_distribution<float> range(2.0f, 70.0f);
+    for (float& r : street.frames[5].scan.range_m) r = range(random);
+    const RegistrationResult registration = register_street(street);
+    EXPECT_EQ(registration.lost, std::vector<std::size_t>{5});
+    const PoseError error = error_of(registration.world_from_vehicle, exact, {0, 1, 2, 3, 4, 6, 7, 8, 9, 10});
+    EXPECT_LT(error.median_m, 0.01);
+    EXPECT_LT(error.median_deg, 0.03);
+    EXPECT_LT(error_of(registration.world_from_vehicle, exact, {4, 5, 6}).median_m, 0.05)
+        << "drift is smooth";
+}
+
+TEST(RegisterScans, CorrectionsBeyondWhatIsAllowedAreNotBelieved) {
+    LidarSequence street = make_street_of(11);
+    PoseTrack track = street.world_from_vehicle;
+    track.pose[4].translation += glm::dvec3(0.3, 0.4, 0.0);
+    set_vehicle_poses(street, track);
+    RegistrationOptions options = make_options_without_movers(street.boxes);
+    const RegistrationResult registration =
+        register_scans(street, split_frames_into_train_and_test(street, 0), options);
+    EXPECT_TRUE(registration.lost.empty()) << "half a metre is found";
+    options.largest_m = 0.25;
+    EXPECT_EQ(register_scans(street, split_frames_into_train_and_test(street, 0), options).lost,
+              std::vector<std::size_t>{4});
+}
+
+TEST(RegisterScans, SaysWhatIsMissing) {
+    LidarSequence street = make_street_of(4);
+    const RegistrationResult one = register_scans(street, {{0}, {}}, {});
+    EXPECT_TRUE(one.rounds.empty()) << "one scan is where it is";
+    int n_polls = 0;
+    RegistrationOptions options;
+    options.stop = [&] { return ++n_polls == 3; };
+    set_vehicle_poses(street, test::perturb_track(street.world_from_vehicle, 0.05, 0.0, 1));
+    const RegistrationResult stopped =
+        register_scans(street, split_frames_into_train_and_test(street, 0), options);
+    EXPECT_TRUE(stopped.stopped);
+    EXPECT_EQ(stopped.world_from_vehicle.pose[2].translation, street.world_from_vehicle.pose[2].translation);
+    for (LidarFrame& frame : street.frames)
+        std::fill(frame.scan.range_m.begin(), frame.scan.range_m.end(), 0.0f);
+    try {
+        register_scans(street, split_frames_into_train_and_test(street, 0), {});
+        FAIL() << "expected DataError";
+    } catch (const DataError& error) {
+        EXPECT_THAT(error.what(), test::Names("4 training scans ... surface"));
+    }
+}
+
+}  // namespace
+}  // namespace relidar

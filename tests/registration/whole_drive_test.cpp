@@ -1,0 +1,74 @@
+// SPDX-License-Identifier: Apache-2.0
+// Registers a complete drive around a block with a stop: from exact poses, from poses
+// with drift and jumps, and without poses. Odometry divides the 400 sweeps into two
+// sections.
+#include <gtest/gtest.h>
+
+#include <relidar/registration/registration.hpp>
+
+#include "street_poses.hpp"
+#include "town.hpp"
+
+namespace relidar {
+namespace {
+
+constexpr int kSweeps = 400;
+
+class WholeDrive : public testing::Test {
+protected:
+    static const LidarSequence& drive() {
+        static const LidarSequence drive = test::drive_around_block(kSweeps);
+        return drive;
+    }
+
+    static RegistrationResult register_street(const PoseTrack& initial_poses, bool use_pose_motion) {
+        LidarSequence wrong = drive();
+        set_vehicle_poses(wrong, initial_poses);
+        RegistrationOptions options;
+        options.use_pose_motion = use_pose_motion;
+        return register_scans(wrong, split_frames_into_train_and_test(drive(), 10), options);
+    }
+
+    /// Checks that the errors are at most 2 cm and 0.05 degrees over the complete drive,
+    /// including held-out scans, and that all scans are registered.
+    static void expect_registered(const RegistrationResult& registration, const char* description) {
+        std::vector<int> all;
+        for (std::size_t k = 0; k < drive().frames.size(); ++k) all.push_back(static_cast<int>(k));
+        const test::PoseError error =
+            test::error_of(registration.world_from_vehicle, drive().world_from_vehicle, all);
+        EXPECT_LT(error.rms_m, 0.02) << description;
+        EXPECT_LT(error.worst_m, 0.05) << description;
+        EXPECT_LT(error.median_deg, 0.02) << description;
+        EXPECT_LT(error.worst_deg, 0.05) << description;
+        EXPECT_TRUE(registration.lost.empty()) << description;
+        EXPECT_GT(registration.on_planes, 0.3) << description;
+    }
+};
+
+TEST_F(WholeDrive, FindsPosesBackFromDriftAndJumps) {
+    const PoseTrack initial_poses = test::add_drift_and_jumps(drive().world_from_vehicle);
+    const int last = kSweeps - 1;
+    EXPECT_GT(
+        test::error_of(initial_poses, drive().world_from_vehicle, {0, last / 3, 2 * last / 3, last}).worst_m,
+        1.0)
+        << "the start is far off";
+    expect_registered(register_street(initial_poses, true), "drift and jumps");
+}
+
+TEST_F(WholeDrive, StaysWithExactPoses) {
+    expect_registered(register_street(drive().world_from_vehicle, true), "exact");
+}
+
+TEST_F(WholeDrive, NeedsNoPoses) {
+    PoseTrack none = drive().world_from_vehicle;
+    for (Pose& pose : none.pose) pose = {};
+    const RegistrationResult registration = register_street(none, false);
+    expect_registered(registration, "no poses");
+    const std::vector<int> train = split_frames_into_train_and_test(drive(), 10).train;
+    EXPECT_EQ(registration.world_from_vehicle.pose[std::size_t(train[train.size() / 2])].translation,
+              glm::dvec3(0.0))
+        << "the middle pose stays";
+}
+
+}  // namespace
+}  // namespace relidar
